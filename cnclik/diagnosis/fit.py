@@ -234,9 +234,8 @@ def _least(log, kind, starts, late=None) -> tuple:
         if ends:
             break
     each = np.arange(log.k), np.argmin(power, 1)
-    left = power[each] / N + EXACT**2
-    numbers = log.k * len(low) * np.log(N)
-    return values[each], float(N * np.sum(np.log(left)) + numbers)
+    score = N * np.sum(np.log(power[each] / N + EXACT**2)) + log.k * len(low) * np.log(N)
+    return values[each], float(score)
 
 
 def _fitted(log, kind, fitted) -> DriveFit:
@@ -262,7 +261,8 @@ def _fitted(log, kind, fitted) -> DriveFit:
         said = f"Its velocity servo has an integral part ({_said(np.mean(integral))} s), which the drive leaves out"
         notes.append(f"{said}: gains for its lag alone are low enough.")
     if np.any(np.abs(gain - 1) > OFF):
-        notes.append(f"Motion is {_said(gain)} times what is commanded, by which the recommended alpha is divided.")
+        said = _said(gain).replace(" ", ", ")
+        notes.append(f"Motion is {said} times what is commanded: the recommended alpha is divided by the largest.")
         notes += [NOT_REBASED] * (not log.velocity)
     moved = gain[:, None] * (log.response(kind, each, every) + log.base)
     return DriveFit(
