@@ -1,7 +1,7 @@
 """`python tests/lint.py`: what ruff and mypy don't know of this house. pre-commit and `.ci/run` call it, without JAX.
 
-Imports run one way and touch no private name; helpers that must agree stand once; who takes any exception says why;
-fields say what they are; pages, docstrings and messages are short sentences. Exit code 1 with a line for each fault.
+Imports run one way and touch no private name; who takes any exception says why; pages, docstrings and messages are
+short sentences. Exit code 1 with a line for each fault.
 """
 
 import ast
@@ -18,14 +18,6 @@ BASE = ("engine", "robot", "task", "law", "integrate", "reaching")  # reached th
 ROOMS = (*(*BASE, "problem", "measure", "stability", "diagnosis", "sweeps", "tuning", "export", "show", "paper"),)
 ORDER = {name: 0 for name in GROUND} | {name: i for i, name in enumerate((*ROOMS, "cli"), 1)}
 LONG_SENTENCE = 40  # words
-ONCE = {  # what may stand in one place only, and where
-    r"cpu_count\(": "threads.py",
-    r"\.to_netcdf\(": "measure/files.py",
-    r"\.savefig\(": "show/style.py",
-    r"\bProgress\(|rich\.track": "cli/progress.py",
-    r"np\.array2string\(": "record.py",
-    r"\"\| ---|\| --- \|": "measure/files.py",
-}
 
 
 @functools.cache
@@ -136,13 +128,6 @@ def homes():
                 yield path, line, f"{name} is not defined in {source}"
 
 
-def once():
-    for pattern, place in ONCE.items():
-        for path in files():
-            if re.search(pattern, text(path)) and path != PACKAGE / place:
-                yield path, 1, f"{pattern} stands in {place}"
-
-
 def broad():
     """Who takes any exception says why on the same line, but where it is raised again."""
     anything = ("Exception", "BaseException")
@@ -202,7 +187,7 @@ def strings():
             yield from ((path, node.lineno, fault) for fault in faults(value) if not listed)
 
 
-CHECKS = (order, circles, private, homes, once, broad, pages, strings)
+CHECKS = (order, circles, private, homes, broad, pages, strings)
 
 
 def main():

@@ -1,17 +1,21 @@
 """What is refused: a table of calls, and what is said of each in one line that names the argument."""
 
+import re
+
 import pytest
 
 from cnclik.errors import ArgumentError
 
 
 def refusals(*cases, of=lambda call: call()):
-    """A test of (call, pattern of what is said), or of (what `of` is called with, pattern)."""
+    """A test of (call, what is said or its pattern), or of (what `of` is called with, the same)."""
 
     @pytest.mark.parametrize(("call", "says"), cases, ids=range(len(cases)))
     def refused(call, says):
-        with pytest.raises(ArgumentError, match=says) as caught:
+        with pytest.raises(ArgumentError) as caught:
             of(**call) if isinstance(call, dict) else of(call)
-        assert str(caught.value).startswith("Argument `") and "\n" not in str(caught.value)
+        said = str(caught.value)
+        assert says in said or re.search(says, said), said
+        assert said.startswith("Argument `") and "\n" not in said
 
     return refused

@@ -1,11 +1,16 @@
-"""Caches in memory are bounded: a process meets new numbers of steps, literals and lambdas all day."""
+"""Caches in memory are bounded: a process meets new literals and lambdas all day. No thread is waited for."""
 
 import functools
 import gc
+import threading
+import time
 import weakref
+
+import pytest
 
 import cnclik as ck
 from cnclik import cache
+from cnclik.threads import side_by_side
 
 
 def test_a_cache_keeps_a_bounded_number_of_entries(monkeypatch):
@@ -41,3 +46,22 @@ def test_a_robot_that_nobody_holds_takes_its_programs_along():
     del robot
     gc.collect()
     assert alive() is None
+
+
+@pytest.mark.parametrize("left", [KeyboardInterrupt, ValueError])
+def test_who_is_interrupted_waits_for_nothing_and_begins_nothing_more(left):
+    go, begun, started = threading.Event(), time.perf_counter(), []
+
+    def work(number):
+        started.append(number)
+        go.wait(20)
+
+    try:
+        with pytest.raises(left), side_by_side(1) as pool:
+            pool.map(work, range(3))
+            raise left
+        assert time.perf_counter() - begun < 10
+    finally:
+        go.set()
+    time.sleep(0.1)
+    assert started == [0]

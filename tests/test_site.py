@@ -53,8 +53,9 @@ RECORDS = {name: thing for name, thing in EVERY.items() if isinstance(thing, typ
 def test_the_api_explains_every_field():
     """In the docstring, or by a comment on its line, which the site shows."""
     for name, cls in RECORDS.items():
-        named = re.findall(r"\w+", cls.__doc__)
-        for field, said in re.findall(r"^ +(\w+)\b.*  # (.*)", inspect.getsource(cls), re.M):
+        named = re.findall(r"\w+", " ".join(base.__doc__ or "" for base in cls.__mro__[:-1]))
+        text = "".join(inspect.getsource(base) for base in cls.__mro__[:-1])
+        for field, said in re.findall(r"^ +(\w+)\b.*  # (.*)", text, re.M):
             named += [field, *re.findall(r"\w+", said)]
         assert not {field.name for field in dataclasses.fields(cls)} - set(named), name
 

@@ -18,7 +18,10 @@ def run(robot: str) -> None:
     if kind in (*ROBOTS, *PLANAR):
         from cnclik.problem.names import load
 
-        print(f"{robot}, built in, tip {(ROBOTS | PLANAR)[kind]}\n{load(robot)}")
+        chain = load(robot)
+        print(f"{robot}, built in, tip {(ROBOTS | PLANAR)[kind]}")
+        for joint in zip(chain.joint_names, chain.lower, chain.upper, chain.velocity_limit, strict=True):
+            print("  {}: {:.4g} to {:.4g} rad, up to {:.4g} rad/s".format(*joint))
         return
     tree = read_robot(file_of(robot) or robot)
     print(f"{tree.name}, base {tree.root}")

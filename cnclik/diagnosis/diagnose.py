@@ -28,7 +28,7 @@ SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
 STEADY = 0.1  # unrest of a sustained oscillation, at most
 HELD = 2.0  # change in all its periods, at most, of a sustained oscillation
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
-WIDE, CLIPPED = 2.1, 3.0  # ratio of the likely drives' gains, and of a known one to them, beyond which none is named
+WIDE, CLIPPED = 1.9, 3.0  # ratio of likely gains (then the slower overshoot 10 %), of a known one to them, at most
 SETTLED, PASSED = 0.03, 0.05  # shares of a motion that are left in the end, and beyond its end, where nothing is wrong
 ALIKE, ABOVE = 0.1, 1.25  # relative difference of the periods of one mode; factor up to which a task's gain may stay
 UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at rest, and record until it rests again."
@@ -155,8 +155,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
     excited = bool(not held and change < 0 and larger > SIZES[0])
     if turns > SWEPT and change < np.log(1.5) and alike and not 1 / SWEEP < faster < SWEEP:
         return {"kind": UNDECIDED, "note": UNFINISHED}
-    drives = loop.drives_of(mode, Ts, alpha, read.lags, clipped=change > 0 or held, alone=read.dead is not None)
-    drive, ends, present, most, wide = drives
+    drive, ends, present, most, wide = loop.drives_of(read, mode, Ts, alpha, clipped=change > 0 or held)
     if wide > WIDE if alpha is None else alpha > CLIPPED * most:
         return {"kind": UNDECIDED, "note": OPEN}
     best = gains(Ts=Ts, drive=drive, method="EE").recommended

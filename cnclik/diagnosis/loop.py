@@ -133,19 +133,21 @@ def fits(y, period):
     most = int(min(DEAD, N // 5, period / 3 + 3))
     first = most + 4
     rows, loops, none = N - first, [], np.inf
-    path = np.pad(path_basis(rows, period), ((0, 0), (1, 0)))  # a column of zeros for no path
-    sizes = np.array([size for size in PATHS if size < path.shape[1]])
+    path = path_basis(rows, period)
     floor = (UNMODELLED**2 * np.var(np.diff(y, axis=0), axis=0) + 1e-12)[:, None]
     for lag, part in ((lag, part) for lag in LAGS for part in (0.0, 0.5)):
         A, b = polynomials(lag, part)
         for C in ([1.0], [1.0, -1.0], A)[: 2 + (lag > 0)]:
+            start = [A[-1] ** np.arange(rows)] * (len(C) // 3)  # the time before the log decays as the lag
+            basis = np.pad(np.linalg.qr(np.column_stack([*start, path]))[0], ((0, 0), (1, 0)))  # 0: no path
+            sizes = len(start) + np.array([size for size in PATHS if size <= path.shape[1]])
             left, acts = lfilter(A, C, y, axis=0)[first:].T, lfilter(b, C, y, axis=0)
-            on = left @ path
+            on = left @ basis
             v0 = np.maximum((np.sum(left**2, 1)[:, None] - np.cumsum(on**2, -1)[:, sizes]) / rows, 0.0) + floor
             both, square = np.empty((2, most + 1, k, len(sizes)))
             for c in range(k):
                 late = np.lib.stride_tricks.sliding_window_view(acts[first - 1 - most : N - 1, c], rows)[::-1]
-                across = late @ path
+                across = late @ basis
                 both[:, c] = ((late @ left[c])[:, None] - np.cumsum(across * on[c], -1)[:, sizes]) / rows
                 square[:, c] = (np.einsum("di,di->d", late, late)[:, None] - np.cumsum(across**2, -1)[:, sizes]) / rows
             square, v = np.maximum(square, 1e-300), v0
@@ -205,18 +207,17 @@ def read(y) -> Loop | None:
     return Loop(mode, period, float(none - score.min()), share, interval, lags, rests, first, last)
 
 
-def drives_of(mode, Ts, alpha, lags, *, clipped, alone) -> tuple:
+def drives_of(read, mode, Ts, alpha, *, clipped) -> tuple:
     """Drives with dead time, and a lag, whose loop s + α e^(−Ds)/(τs + 1) has a mode s [1/row].
 
     Returns one that tolerates a gain between those of the ends; the ends, between which most of the likely ones are;
     the mean gain of their loops [1/s], the larger one of the ends, and the ratio of the gains that the ends tolerate.
     Args:
-      alpha: the loop's gain [1/s] or None. lags: as in `Loop`.
-      clipped: whether the gain of the mode may be lower than alpha. alone: whether it is dead time only.
+      read: the `Loop`, whose mode it may be. alpha: its gain [1/s] or None; clipped: or more than that of the mode.
     """
     s, step = mode / Ts, 2 * np.sinh(mode / 2) / Ts  # step: of the motion from sample to sample, s of slow modes
     whole = max((np.pi - np.angle(step)) / s.imag, 0.5 * Ts)  # of dead time alone, with half a sample
-    dead = whole * (np.ones(1) if alone else np.linspace(1, 0, 25))
+    dead = whole * (np.ones(1) if read.dead is not None else np.linspace(1, 0, 25))
     turn = np.tan(np.angle(-np.exp(-s * dead) / step))  # of τs + 1
     lag = np.where(dead < whole, turn / (s.imag - s.real * turn), 0.0)
     dead, lag = dead[lag >= 0], lag[lag >= 0]
@@ -227,7 +228,7 @@ def drives_of(mode, Ts, alpha, lags, *, clipped, alone) -> tuple:
     off = np.zeros(len(lag)) if alpha is None else np.log(gain / alpha)
     off = np.maximum(off, 0.0) if clipped else off
     odds = np.exp(-0.5 * np.minimum((off / KNOWN) ** 2, 60.0)) / (1 + (lag / USUAL) ** 2) * np.where(lag > 0, 1.0, 3.0)
-    odds = odds * np.interp(lag / Ts, *lags)
+    odds = odds * np.interp(lag / Ts, *read.lags)
     odds, order = odds / np.sum(odds), np.argsort(calm)
     ends = order[np.minimum(np.searchsorted(np.cumsum(odds[order]), [TAIL, 1 - TAIL]), len(order) - 1)]
     least, largest = np.log(calm[ends])

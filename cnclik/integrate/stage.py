@@ -38,7 +38,7 @@ class Stage:
     M: Count
     _: dataclasses.KW_ONLY
     maximum: int | None = None
-    tolerance: float = 1e-3
+    tolerance: float = 1e-3  # see `picard`
     improved: ClassVar[Callable]  # (g, h, k) to the next iterate
 
     def __post_init__(self):

@@ -1,15 +1,17 @@
-"""The command line's frame: verbs, help, options; and what importing cnclik and asking for help loads."""
+"""The command line's frame: verbs, help, options, units, the progress bar; and what importing and asking loads."""
 
 import importlib
 import importlib.util
+import math
 import re
 import subprocess
 import sys
 
 import pytest
 
-from cnclik import errors
-from cnclik.cli import VERBS, arguments, main
+from cnclik import errors, quantities
+from cnclik.cli import VERBS, arguments, diagnose, main, progress, reach, solve, stability
+from cnclik.problem.options import OPTIONS, in_own_units
 
 
 def test_overview_and_version(capsys):
@@ -37,39 +39,12 @@ def test_the_options_are_few():
     assert len(every) <= 45, sorted(every)
 
 
-VERB = """
-def run(place="", *, steps: int = 3, Ts: float = 0.1, pair: tuple[int, ...] = (1, 2), out_dir: str = "x",
-        kind: Literal["one", "two"] = "one", gain: float | None = None, off: bool = True):
-    '''Options of every kind.
-
-    Args:
-      steps: of one.
-      Ts: a time [s], positive.
-      pair: of two.
-      out_dir: of three.
-      kind: of four.
-      gain: of five.
-      off: of six.
-    '''
-"""
-
-
-@pytest.fixture(scope="module")
-def verb(tmp_path_factory):
-    file = tmp_path_factory.mktemp("verb") / "verb.py"
-    file.write_text(f"from typing import Literal\n{VERB}")
-    spec = importlib.util.spec_from_file_location("verb", file)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_right_options_pass(verb):
-    argv = ["--Ts", "500ms", "--pair", "3", "4", "--gain", "2", "--no-off", "--kind", "two"]
-    made = arguments.parse(verb, argv, prog="x", description="x")
-    assert made == {"Ts": 0.5, "pair": [3, 4], "gain": 2.0, "off": False, "kind": "two"}
-    said = arguments.of_options(verb, errors.fail("out_dir", "come with `gain` and `what`", "comes without"))
-    assert said == "Option `--out-dir` must come with `--gain` and `what`, but comes without."
+def test_right_options_pass():
+    argv = ["panda", "--alpha", "2", "3", "--method", "CN", "--N", "3", "--no-figures", "--out", "x"]
+    asked = {"robot": "panda", "figures": False, "alpha": [2.0, 3.0], "method": "CN", "N": [3.0], "out": "x"}
+    assert arguments.parse(solve, argv, prog="x", description="x") == asked
+    said = arguments.of_options(solve, errors.fail("out", "come with `Ts` and `what`", "comes without"))
+    assert said == "Option `--out` must come with `--Ts` and `what`, but comes without."
 
 
 # --- what is loaded ------------------------------------------------------------------------------------
@@ -161,3 +136,56 @@ def test_a_built_in_robot_is_shown(capsys):
     main(["robots", "panda"])
     said = capsys.readouterr().out
     assert said.startswith("panda, built in, tip flange\n") and said.count(" rad, up to ") == 7
+
+
+def test_lines_without_a_terminal(capsys, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
+    with progress.bar("loops") as report:
+        for now[0], *each in [(0.0, 0, 400), (50.0, 100, 400, "EE"), (59.0, 200, 400), (61.0, 300, 400)]:
+            report(*each)
+    assert capsys.readouterr().err.splitlines() == ["100 of 400 loops, EE", "300 of 400 loops"]
+
+
+def test_a_terminal_gets_a_bar(capsys, monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with progress.bar("loops") as report:
+        report(0, 3)
+        report(2, 3, "[EE]")
+    out, err = capsys.readouterr()
+    assert out == "" and "2 of 3 loops" in err and "[EE]" in err
+
+
+NUMBERS = [  # verb, arguments, option, values
+    (solve, "--delay 34ms --Ts 4ms", "delay", 8.5),
+    (solve, "--Ts 4 ms --delay 34 ms", "delay", 8.5),
+    (solve, "--delay=2samples", "delay", 2.0),
+    (solve, "--Ts 500µs", "Ts", 5e-4),
+    (solve, "--lag 20ms 30ms", "lag", (0.02, 0.03)),
+    (solve, "--q0 0 -90 90 deg", "q0", (0, -math.pi / 2, math.pi / 2)),
+    (solve, "--q0 -90 45 deg 100 mm", "q0", (-math.pi / 2, math.pi / 4, 0.1)),
+    (solve, "--q0 0 0.5 -1", "q0", (0, 0.5, -1)),
+    (solve, "--target 300 -300 500 mm 1 0 0 0", "target", (0.3, -0.3, 0.5, 1, 0, 0, 0)),
+    (solve, "--speed 500mm/s", "speed", 0.5),
+    (solve, "--natural-frequency 5Hz", "natural_frequency", 10 * math.pi),
+    (reach, "--random 1 --near 90deg 100 mm", "near", (math.pi / 2, 0.1)),
+    (stability, "--speed 100mm/s", "speed", 0.1),
+    (diagnose, "--Ts 2ms", "Ts", 2e-3),
+]
+
+
+@pytest.mark.parametrize(("verb", "argv", "name", "wanted"), NUMBERS)
+def test_a_number_may_have_a_unit(verb, argv, name, wanted):
+    place = "log.csv" if verb is diagnose else "panda"
+    made = arguments.parse(verb, [place, *(argv.split() if isinstance(argv, str) else argv)], prog="", description="")
+    shared = {key: value for key, value in made.items() if isinstance(value, quantities.Quantities) and key in OPTIONS}
+    assert (made | in_own_units(shared))[name] == pytest.approx(wanted, rel=1e-12)
+
+
+def test_a_number_read_aloud_has_at_most_three_digits():
+    """A wall was missed by "1e+03 mm/s"."""
+    said = [quantities.aloud(v, "m") for v in (0.99996, -0.0009999, 9.996e-7, 0.0123, 3e-10, 0.0)]
+    assert said == ["1 m", "-1 mm", "1 µm", "12.3 mm", "3e-10 m", "zero"]
+    said = [quantities.aloud(0.00123, unit) for unit in ("rad/s, m/s", "1", "", "1/s")]
+    assert said == ["0.00123 rad/s, m/s", "0.00123", "0.00123", "0.00123 1/s"]

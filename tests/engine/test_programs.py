@@ -177,6 +177,11 @@ def test_loops_that_count_compute_once_what_does_not_change_in_them():
     assert "exp" in [n.op for n in g.root.items[:at]] and outs[0].item().value[0] is g.root.items[at]
 
 
+def test_what_commutes_is_computed_once():
+    graph, *_ = read(trace(lambda x, y: (x * y, jnp.sin(y * x)), [jax.ShapeDtypeStruct((), "float64")] * 2).closed)
+    assert [item.op for item in graph.root.items] == ["mul", "sin"]
+
+
 def test_while_loops_of_a_batch_within_a_lane():
     def halved(x, least):
         return lax.while_loop(lambda s: jnp.sum(s[0]) > least, lambda s: (s[0] / 2, s[1] + 1), (x, 0))

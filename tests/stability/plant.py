@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import scipy.linalg
 
-from tests.oracles import robot_file
+from tests.oracles import planar_jacobian, robot_file
 
 ROBOTS = ("planar2", "planar3", "planar5", "panda", "ur5", "tree")
 TABLEAUX = {
@@ -21,12 +21,8 @@ TABLEAUX = {
 
 
 def planar(q, rows=2):
-    """Jacobian of a planar arm of unit links along x."""
-    angles, n = np.cumsum(q), len(q)
-    jacobian = np.ones((3, n))
-    for i in range(n):
-        jacobian[0, i], jacobian[1, i] = -np.sin(angles[i:]).sum(), np.cos(angles[i:]).sum()
-    return jacobian[:rows]
+    """Jacobian of a planar arm of unit links."""
+    return np.vstack([planar_jacobian(np.ones(len(q)), q), np.ones(len(q))])[:rows]
 
 
 def tree(q):

@@ -1,5 +1,6 @@
-"""Specs: what they mean, and that everything wrong with one is said in a line before anything runs."""
+"""Specs: what they mean, what is wrong with them in a line, and their limits and noise against linear theory."""
 
+import copy
 import json
 import pathlib
 import tomllib
@@ -10,12 +11,18 @@ import pytest
 
 import cnclik as ck
 from cnclik.errors import ArgumentError
+from cnclik.integrate.drive import Drive
 from cnclik.problem import problem_from
 from cnclik.show import sweeps as pictures
+from cnclik.stability import gains
+from cnclik.stability.linear import stability_limit
 from cnclik.sweeps import axes as expression
+from cnclik.sweeps import run_spec
 from cnclik.sweeps.axes import axis
 from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.spec import parse, read
+from tests.refusals import refusals
+from tests.specs import reaching
 
 ROOT = pathlib.Path(__file__).parents[2]
 TEXT = """
@@ -184,56 +191,50 @@ def test_axes_have_the_units_of_their_options():
     assert [units[name] for name in axes] == ["m, 1", "m", "rad"]
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"qestion": 1}, "`key of SPEC` must be one of question"),
-        ({"axes__alpah": [1.0]}, "is 'alpah' (did you mean 'alpha'?)"),
-        ({"fixed__tipp": "hand"}, "`tipp` must be an option (did you mean 'tip'?), or use names that have a value"),
-        ({"fixed__alpha": "zz/Ts"}, "`alpha` must use names that have a value, but uses 'zz' (did you mean 'z'?)"),
-        ({"fixed__metrics": ["mean_error"]}, "`metrics` must stand above all tables"),
-        ({"fixed__alpha": "z*(method*1000000000)"}, "method is a name, not a number"),
-        ({"fixed__Ts": "alpha*1"}, "not depend on itself, but does, through"),
-        ({"fixed__alpha": "z*limit/Ts", "fixed__M": "round(alpha)", "axes__M": None}, "not depend on itself"),
-        ({"fixed__Ts": True}, "`fixed.Ts` must be a number"),
-        ({"fixed__N": 2.5}, "`N` must be an integer"),
-        ({"fixed__robot": None}, "`robot` must be given in [fixed] or [axes]"),
-        ({"fixed__q0": ["(-1)**0.5", 0]}, "the result is no real number"),
-        ({"fixed__q0": [True, 0]}, "`q0` must hold numbers or vectors of one length"),
-        ({"fixed__threshold": 0.1}, "`threshold` must come with `damping`"),
-        ({"axes__method": ["EE", "RK5"]}, "`method` must be one of"),
-        ({"axes__M": [1.5]}, "`axes.M` must hold one whole number each"),
-        ({"axes__z": 3}, "`axes.z` must be a list, labelled tables, or a table with one of linspace, geomspace"),
-        ({"axes__z": {"geomspace": [0, 1, 2]}}, "be geomspace = [first, last, count], without 0"),
-        ({"axes__z": {"linspace": [0, 1, 10**12]}}, "at most 10,000,000 values, but asks for 1,000,000,000,000"),
-        ({"axes__z": {"linspace": [-1e308, 1e308, 5]}}, "`axes.z` must hold finite values"),
-        ({"axes__z": []}, "`axes.z` must hold at least one value"),
-        ({"fixed__q0": None, "axes__q0": {"samples": 10**9}}, "at most 10,000,000 values, but asks for 1,000,000,000"),
-        ({"fixed__q0": None, "axes__q0": {"samples": 2, "high": [1, 1, 1]}}, "be samples = count, low and high"),
-        ({"axes__damping": [0.1, -0.1]}, "`damping` must be positive, but is -0.1"),
-        ({"axes__Ts": [0.1]}, "`fixed.Ts` must be given once, but is given by another axis, too"),
-        ({"axes__law": {"a": {"z": 1.0}}}, "`axes.law.a.z` must be given once"),
-        ({"axes__law": {"a": {"N": 3}}, "axes__n": {"b": {"N": 4}}}, "`axes.n.b.N` must be given once"),
-        ({"axes__alpha": {"a": {}}, "fixed__alpha": None}, "`axes.alpha` must have another name"),
-        ({"axes__limit": [1.0], "fixed__alpha": "limit/Ts"}, "`axes.limit` must have another name"),
-        ({"fixed__noise": [1e-3] * 3}, "`noise` must"),
-        ({"metrics": ["rms_rotation_error"]}, "be ones of the task"),
-        ({"units": {"z": 3}}, "`units.z` must be a text"),
-        ({"fixed__N": None, "axes__N": {"linspace": [1, 10000, 10000]}}, "span at most 1,000 programs"),
-        ({"fixed__delay": "34kg"}, "but is '34kg' (units: s, ms, us, sample, samples)"),
-        ({"fixed__q0": "100mm 200mm"}, "joint 'q1' is in rad, and m is given"),
-        ({"fixed__mine": "4ms"}, "`mine` must be a number or a short expression"),
-        ({"figure": [3]}, "`figure` must be a list of tables"),
-        ({"figure": [{"kind": "heatmap"}]}, "`figure[0].kind` must be one of"),
-        ({"figure": [{"kind": "heat", "limits": [1]}]}, "`figure[0].limits` must have 2 numbers, but has 1"),
-        ({"figure": [{"kind": "heat", "xx": "z"}]}, "but is 'xx' (did you mean 'x'?)"),
-        ({"figure": [{"kind": "heat", "name": "../up"}]}, "`figure[0].name` must be a file's name without a folder"),
-    ],
+test_everything_wrong_is_said_in_one_line = refusals(
+    ({"qestion": 1}, "`key of SPEC` must be one of question"),
+    ({"axes__alpah": [1.0]}, "is 'alpah' (did you mean 'alpha'?)"),
+    ({"fixed__tipp": "hand"}, "`tipp` must be an option (did you mean 'tip'?), or use names that have a value"),
+    ({"fixed__alpha": "zz/Ts"}, "`alpha` must use names that have a value, but uses 'zz' (did you mean 'z'?)"),
+    ({"fixed__metrics": ["mean_error"]}, "`metrics` must stand above all tables"),
+    ({"fixed__alpha": "z*(method*1000000000)"}, "method is a name, not a number"),
+    ({"fixed__Ts": "alpha*1"}, "not depend on itself, but does, through"),
+    ({"fixed__alpha": "z*limit/Ts", "fixed__M": "round(alpha)", "axes__M": None}, "not depend on itself"),
+    ({"fixed__Ts": True}, "`fixed.Ts` must be a number"),
+    ({"fixed__N": 2.5}, "`N` must be an integer"),
+    ({"fixed__robot": None}, "`robot` must be given in [fixed] or [axes]"),
+    ({"fixed__q0": ["(-1)**0.5", 0]}, "the result is no real number"),
+    ({"fixed__q0": [True, 0]}, "`q0` must hold numbers or vectors of one length"),
+    ({"fixed__threshold": 0.1}, "`threshold` must come with `damping`"),
+    ({"axes__method": ["EE", "RK5"]}, "`method` must be one of"),
+    ({"axes__M": [1.5]}, "`axes.M` must hold one whole number each"),
+    ({"axes__z": 3}, "`axes.z` must be a list, labelled tables, or a table with one of linspace, geomspace"),
+    ({"axes__z": {"geomspace": [0, 1, 2]}}, "be geomspace = [first, last, count], without 0"),
+    ({"axes__z": {"linspace": [0, 1, 10**12]}}, "at most 10,000,000 values, but asks for 1,000,000,000,000"),
+    ({"axes__z": {"linspace": [-1e308, 1e308, 5]}}, "`axes.z` must hold finite values"),
+    ({"axes__z": []}, "`axes.z` must hold at least one value"),
+    ({"fixed__q0": None, "axes__q0": {"samples": 10**9}}, "at most 10,000,000 values, but asks for 1,000,000,000"),
+    ({"fixed__q0": None, "axes__q0": {"samples": 2, "high": [1, 1, 1]}}, "be samples = count, low and high"),
+    ({"axes__damping": [0.1, -0.1]}, "`damping` must be positive, but is -0.1"),
+    ({"axes__Ts": [0.1]}, "`fixed.Ts` must be given once, but is given by another axis, too"),
+    ({"axes__law": {"a": {"z": 1.0}}}, "`axes.law.a.z` must be given once"),
+    ({"axes__law": {"a": {"N": 3}}, "axes__n": {"b": {"N": 4}}}, "`axes.n.b.N` must be given once"),
+    ({"axes__alpha": {"a": {}}, "fixed__alpha": None}, "`axes.alpha` must have another name"),
+    ({"axes__limit": [1.0], "fixed__alpha": "limit/Ts"}, "`axes.limit` must have another name"),
+    ({"fixed__noise": [1e-3] * 3}, "`noise` must"),
+    ({"metrics": ["rms_rotation_error"]}, "be ones of the task"),
+    ({"units": {"z": 3}}, "`units.z` must be a text"),
+    ({"fixed__N": None, "axes__N": {"linspace": [1, 10000, 10000]}}, "span at most 1,000 programs"),
+    ({"fixed__delay": "34kg"}, "but is '34kg' (units: s, ms, us, sample, samples)"),
+    ({"fixed__q0": "100mm 200mm"}, "joint 'q1' is in rad, and m is given"),
+    ({"fixed__mine": "4ms"}, "`mine` must be a number or a short expression"),
+    ({"figure": [3]}, "`figure` must be a list of tables"),
+    ({"figure": [{"kind": "heatmap"}]}, "`figure[0].kind` must be one of"),
+    ({"figure": [{"kind": "heat", "limits": [1]}]}, "`figure[0].limits` must have 2 numbers, but has 1"),
+    ({"figure": [{"kind": "heat", "xx": "z"}]}, "but is 'xx' (did you mean 'x'?)"),
+    ({"figure": [{"kind": "heat", "name": "../up"}]}, "`figure[0].name` must be a file's name without a folder"),
+    of=lambda **changes: pictures.check(parse(written(**changes))),
 )
-def test_everything_wrong_is_said_in_one_line(changes, words):
-    with pytest.raises(ArgumentError) as error:
-        pictures.check(parse(written(**changes)))
-    assert words in str(error.value) and "\n" not in str(error.value)
 
 
 def test_what_cannot_be_read_is_said_in_one_line(tmp_path):
@@ -296,3 +297,73 @@ def test_every_study_is_read_and_built_and_its_results_are_committed(path):
     assert {name: config["spec"][name] for name in about} == json.loads(json.dumps(about))
     axes = [[a.name, len(a), a.inner] for a in spec.axes]
     assert config["config"].get("axes", axes) == axes
+
+
+SPEC = tomllib.loads(reaching(["final_error"], method=["EE", "IE"], alpha=[1.0, 5.0], Ts=[0.01, 0.1]))
+SHIFT = 1e-6  # of the target: small enough for a linear loop
+AT = -np.sin(0.3) - np.sin(1.4), np.cos(0.3) + np.cos(1.4)  # the tip at q0
+
+
+def stable(drive, method="EE", Ts=0.1):
+    """The largest stable z."""
+    return Ts * gains(Ts=Ts, drive=drive, method=method).largest_stable
+
+
+def spec(metrics, N, fixed=(), **axes):
+    """Loops of explicit Euler at Ts = 0.1, beside their target."""
+    made = tomllib.loads(reaching(metrics, N=N))
+    made["fixed"] |= {"q0": [0.3, 1.1], "target": [AT[0] + SHIFT, AT[1]], "Ts": 0.1, "method": "EE"} | dict(fixed)
+    return parse(made | {"axes": axes})
+
+
+def limit(fixed=(), drop=(), **axes):
+    """The coordinate of a variation of the spec: (dimensions, values), or None."""
+    written = copy.deepcopy(SPEC)
+    written["fixed"] |= dict(fixed)
+    written["axes"] |= axes
+    for name in drop:
+        written["axes"].pop(name)
+    found = parse(written)
+    found = found.coordinates(found.grid()).get("limit")
+    return found and found[:2]
+
+
+def test_the_limit_is_over_the_axes_on_which_it_depends():
+    dims, values = limit()
+    assert dims == ("method",)
+    np.testing.assert_allclose(values, [2, stability_limit(ck.METHODS["IE"], ck.picard(5))], rtol=1e-9)
+    dims, values = limit(M=[1, 2, 5], method=["IE"])
+    assert dims == ("method", "M")
+    np.testing.assert_allclose(
+        values[0], [stability_limit(ck.METHODS["IE"], ck.picard(m)) for m in (1, 2, 5)], rtol=1e-9
+    )
+    assert limit({"method": "EE"}, ["method"]) == ((), 2.0)
+    assert limit({"N": "round(1/Ts)"})[0] == ("method",)  # Ts is compiled in, and the limit doesn't depend on it
+    assert limit({"alpha": "z/Ts"}, ["alpha"], z=[0.5, 1.5])[0] == ("method",)
+    assert limit({"alpha": "2*z/Ts"}, ["alpha"], z=[0.5, 1.5]) is None  # an axis z that is not alpha·Ts
+    laws = {"exact": {}, "damped": {"damping": 0.1}}
+    assert limit(method=["EE"], law=laws) == (("method",), [2.0])  # with damping a little more may be stable
+    dims, values = limit(lag=[0.05, 0.3], method=["EE"])  # with a lag z depends on Ts
+    assert dims == ("method", "Ts", "lag") and len(values.ravel()) == 4
+    np.testing.assert_allclose(values[0, 1, 1], stable(Drive(lag=0.3)), rtol=1e-9)
+
+
+def test_noise_at_rest_is_as_large_as_theory_says():
+    """e[k+1] = e[k] − r(e[k] + n[k]) has variance r/(2 − r) σ²: r = z of explicit, 1 − e^{−z} of exponential Euler."""
+    sigma, z = 1e-6, np.array([0.3, 1.0, 1.6])
+    axes = {"z": z.tolist(), "noise": [[sigma, 0.0], [sigma, sigma]], "seed": list(range(8))}
+    fixed = {"alpha": "z/Ts", "target": list(AT)}
+    for method, removed in (("EE", z), ("EXP-EE", -np.expm1(-z))):
+        found = run_spec(spec(["rms_error"], 1000, fixed | {"method": method}, **axes)).rms_error
+        variance = (found**2).mean("seed").values / sigma**2
+        theory = removed / (2 - removed)
+        np.testing.assert_allclose(variance, np.stack([theory, 2 * theory], 1), rtol=0.06)
+        assert len(np.unique(found)) == found.size  # every seed its own
+
+
+def test_loops_through_a_lag_end_where_theory_says():
+    """With the limit in an expression, half a sample of dead time included."""
+    for drive in ({"lag": 0.3, "delay": 1}, {"delay": 0.5}):
+        found = run_spec(spec(["final_error"], 400, drive | {"alpha": "share*limit/Ts"}, share=[0.95, 1.05]))
+        assert found.final_error[0] < 0.2 * SHIFT and found.final_error[1] > SHIFT
+        assert found.limit == pytest.approx(stable(Drive(**drive)), rel=1e-9)

@@ -1,15 +1,18 @@
-"""Tuning against known answers, its bounds and constraints, and starts that must not end in a NaN."""
+"""Tuning against known answers: its parameters, bounds and constraints, starts that must not end in a NaN, descent."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 
 import cnclik as ck
 from cnclik.integrate.method import DEFAULT
+from cnclik.record import record
 from cnclik.robot.rotations import safe_norm
 from cnclik.tuning import Parameter, tracking, tune
-from cnclik.tuning.descent import Bounds, evaluate
+from cnclik.tuning import parameters as pm
+from cnclik.tuning.descent import Bounds, descend, evaluate
 from cnclik.tuning.parameters import chosen, ends
 from cnclik.tuning.tune import objective_of
 from tests.bank import told
@@ -234,3 +237,128 @@ def test_derivatives_in_reverse_mode_are_those_of_differences():
         ]
     assert len(u) == 8
     np.testing.assert_allclose(slope, np.array(apart) / (2 * h), rtol=2e-5, atol=1e-7 * np.abs(slope).max())
+
+
+PARTS_LAW = ck.Law(
+    ARM, ck.position("xy"), alpha=[4.0, 6.0], inverse=ck.damped(0.1), null_velocity=ck.posture([0.0, 1.0])
+)
+GAINS = ck.gains(Ts=0.02, drive=ck.Drive(delay=1), method="EE")  # z = 4/27 at most
+READ = {
+    "alpha": lambda law: law.alpha,
+    "damping": lambda law: law.inverse.damping,
+    "posture_rate": lambda law: law.null_velocity.rate,
+    "feedforward": lambda law: law.feedforward,
+}
+
+
+@pytest.mark.parametrize("name", READ)
+def test_every_parameter_goes_where_it_belongs(name):
+    (p,) = pm.chosen(name, PARTS_LAW, {}, GAINS)
+    value = 0.9 * p.start
+    np.testing.assert_allclose(READ[name](pm.put(PARTS_LAW, (p,), value.ravel())), value, rtol=1e-12)
+    assert set(READ) == set(pm.KNOWN)
+
+
+PARTS_TASK = ck.stack(hand=ck.position("xy"), turn=ck.orientation("z"), rest=ck.joints(weights=[0.1] * 4))
+PARTS = ck.Law(
+    ck.planar_arm([0.5, 0.4, 0.3, 0.3]),
+    PARTS_TASK,
+    alpha={"hand": 8.0, "turn": 4.0, "rest": 1.0},
+    inverse=ck.levels(["hand"], ["turn", "rest"], damping=(0.01, 0.1)),
+    null_velocity=ck.posture(np.zeros(4)),
+)
+
+
+def test_alpha_of_a_stack_is_a_gain_for_each_task_but_postures():
+    chosen = pm.chosen(("alpha", "rest.alpha", "posture_rate"), PARTS, {"rest.alpha": (0.5, 2.0)}, GAINS)
+    assert [p.name for p in chosen] == ["hand.alpha", "turn.alpha", "rest.alpha", "posture_rate"]
+    assert [float(p.upper) for p in chosen] == [GAINS.recommended] * 2 + [2.0, GAINS.recommended]
+    made = pm.put(PARTS, chosen, np.array([1.0, 2.0, 3.0, 4.0]))
+    np.testing.assert_array_equal(made.alpha, [1, 1, 2, 3, 3, 3, 3])
+    assert made.null_velocity.rate == 4
+    idle = ck.replace(PARTS, alpha={"hand": 8.0, "turn": 0.0, "rest": 1.0})
+    assert [p.name for p in pm.chosen("alpha", idle, {}, GAINS)] == ["hand.alpha"]  # a gain of 0 stays
+    (all_tasks,) = pm.chosen("alpha", ck.replace(PARTS, alpha=5.0), {}, GAINS)
+    assert all_tasks.name == "alpha" and all_tasks.start.shape == ()
+    axes = ck.replace(PARTS, alpha={"hand": [8.0, 7.0], "turn": 4.0, "rest": 1.0})
+    assert [p.start.tolist() for p in pm.chosen("alpha", axes, {}, GAINS)] == [[8.0, 7.0], 4.0]
+
+
+test_parameters_that_do_not_fit_are_named = refusals(
+    ((PARTS, "hnad.alpha", {}), r"one of hand, turn, rest, but is 'hnad' \(did you mean 'hand'"),
+    ((PARTS, "damping", {}), "name damping for a law that has it"),
+    ((ck.replace(PARTS_LAW, null_velocity=None), "posture_rate", {}), "name posture_rate for a law that has it"),
+    ((PARTS_LAW, "gain", {}), "`over` must be one of alpha, .* but is 'gain'"),
+    ((PARTS_LAW, (), {}), "name something"),
+    ((PARTS_LAW, ("alpha", "alpha"), {}), "each once"),
+    ((PARTS_LAW, "alpha", {"alpha": (5, 1)}), "bounds of alpha` must increase"),
+    ((PARTS_LAW, "alpha", {"alpha": 3}), r"be \(lower, upper\)"),
+    ((PARTS_LAW, "alpha", {"alpha": (0.0, 2)}), "be above 0"),
+    ((PARTS_LAW, "alpha", {"alpha": (1, 60)}), "at most the largest stable gain, 50 1/s, but are 1 and 60"),
+    ((PARTS_LAW, "alpha", {"damping": (1, 2)}), "`bounds` must be one of alpha"),
+    of=lambda case: pm.chosen(case[1], case[0], case[2], GAINS),
+)
+
+
+@record
+class Bowl:
+    """w·(x − centre)² with a·x ≤ b, not a number where x[0] > wall."""
+
+    w: object
+    centre: object
+    a: object
+    b: object
+    wall: object
+
+    def __call__(self, x):
+        loss = jnp.sum(self.w * (x - self.centre) ** 2)
+        return jnp.where(x[0] > self.wall, jnp.nan, loss), jnp.atleast_1d(self.a @ x - self.b), x
+
+
+TARGETS = {  # w, centre, a, b, wall: minimum
+    "free": ([1, 1], [1, 2], [0, 0], 1, 9, [1, 2]),
+    "badly scaled": ([1, 1e4], [1, 2], [0, 0], 1, 9, [1, 2]),
+    "constraint not met at the minimum": ([1, 2], [1, 2], [1, 1], 2, 9, [1 / 3, 5 / 3]),
+    "constraint without a say": ([1, 2], [1, 2], [1, 1], 4, 9, [1, 2]),
+    "bound of one number": ([1, 1], [1, 7], [0, 0], 1, 9, [1, 5]),
+    "wall behind the minimum": ([1, 1], [2, 2], [0, 0], 1, 2.1, [2, 2]),
+    "constraint in front of a wall": ([1, 1], [3, 0], [1, 0], 1.5, 1.6, [1.5, 0]),
+}
+SQUARE = Bounds(np.full(2, -5.0), np.full(2, 5.0))
+
+
+def minimum(target, **options):
+    w, centre, a, b, wall, _ = (np.asarray(v, float) for v in TARGETS[target])
+    bowl = Bowl(w=w, centre=centre, a=a, b=b, wall=wall)
+    with jax.enable_x64(True):
+        best, count, status = descend(bowl, SQUARE, np.array([-2.0, -1.0]), **options)
+    assert count <= options.get("steps", 100) and best.excess <= 1e-9
+    np.testing.assert_array_equal(best.seen, SQUARE.values(best.u))
+    return best, status
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_minima_known_on_paper(target):
+    best, status = minimum(target)
+    w, centre, *_, wanted = map(np.asarray, TARGETS[target])
+    assert best.loss == pytest.approx(np.sum(w * (wanted - centre) ** 2), rel=1e-2, abs=1e-8)  # a penalty spares 0.5 %
+    np.testing.assert_allclose(best.u, wanted, atol=5e-2 if "constraint" in target else 1e-4)
+    assert status == "converged"
+
+
+def test_another_optimizer_progress_and_an_end():
+    best, _ = minimum("free", optimizer=optax.adam(0.3))
+    np.testing.assert_allclose(best.u, [1, 2], atol=1e-2)
+    reports = []
+    _, status = minimum("badly scaled", steps=5, progress=lambda *report: reports.append(report))
+    assert status == "steps" and [report[:2] for report in reports] == [(k, 5) for k in range(3, 6)]
+    assert reports[-1][2].startswith("loss ")
+
+
+def test_bounds_are_reached_and_never_left():
+    bounds = Bounds(np.array([1e-3, -1.0]), np.array([1e3, 1.0]))
+    for some in ([1e-3, -1.0], [0.5, 0.3], [1e3, 1.0]):
+        np.testing.assert_allclose(bounds.values(bounds.free(np.array(some))), some, rtol=1e-6)
+    for far in (1.0, 50.0, 1e9):
+        u = bounds.within(np.array([far, -far]))
+        assert np.all(np.asarray(bounds.values(u)) <= bounds.upper * (1 + 1e-6)) and u[1] >= -1
