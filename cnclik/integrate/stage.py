@@ -99,7 +99,7 @@ class chord(Stage):
     `cnclik.law.law.newton`), so what contracts is the curvature, whatever alpha·Ts is. It starts from the law
     linearised at q, and costs M evaluations of f and as many products with J and J#.
 
-    Args: as for `picard`. M = 0 is the linearly implicit (Rosenbrock) step.
+    Args: M, maximum, tolerance: as for `picard`; M = 0 is the linearly implicit (Rosenbrock) step.
     """
 
     def start(self, first, h, ahead):
@@ -118,7 +118,7 @@ class newton(chord):
     It converges quadratically where the start is near enough; a pass costs one evaluation
     of f and n directional derivatives of it (counted as n evaluations), and an n×n solve.
 
-    Args: as for `picard`.
+    Args: M, maximum, tolerance: as for `picard`.
     """
 
     def improved(self, g, h, k):
