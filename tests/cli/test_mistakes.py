@@ -90,7 +90,7 @@ MISTAKES = [
     ("diagnose stack.csv --tasks b=0", "must be positive, but is 0"),
     ("diagnose stack.csv --tasks b=x", "must be a number, but is 'x'"),
     ("diagnose log.csv --alhpa 1", "Unknown option --alhpa; did you mean --alpha?"),
-    ("diagnose log.csv --Ts 0", "Option `--Ts` must be positive, but is 0."),
+    ("diagnose stack.csv --Ts 0", "Option `--Ts` must be positive, but is 0."),
     ("diagnose log.csv --columns q3", "Option `--columns` must be one of t, q1, but is 'q3'"),
     ("diagnose log.csv --step --columns q1", "Option `--columns` must name as many motions as commands"),
     ("diagnose log.csv --step --alpha 3", "Option `--alpha` must be left out with --step, but is given."),
@@ -106,6 +106,7 @@ MISTAKES = [
 ]
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda m: m[0] if isinstance(m[0], str) else " ".join(m[0]))
 def test_a_mistake_gets_one_helpful_line(mistake, tmp_path, monkeypatch, capsys):
     argv, *words = mistake

@@ -304,6 +304,7 @@ def test_zeros_of_a_model_vanish_and_others_stay():
     x[0, 0] = np.inf
     assert np.isnan(check(unmarked, x)[0, 1:]).all() and np.array_equal(in_c(marked, x), x)
     check(jax.jacfwd(marked), x, by=lambda x: jnp.asarray(eye))
+    np.testing.assert_array_equal(jax.jit(jax.vmap(of_the_model))(x), x)
 
 
 @NEEDS_C
