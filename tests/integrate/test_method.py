@@ -1,7 +1,9 @@
-"""Tableaus: what one may leave out, and what is none. Loops of all methods are in test_combinations."""
+"""Implicit Euler by diffrax; tableaus: what one may leave out, what is none. All methods are in test_combinations."""
 
 import dataclasses
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 import cnclik as ck
@@ -12,6 +14,39 @@ from tests.refusals import refusals
 # J = 1: one step shrinks the error by R(z), exactly.
 SLIDER = screws([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], [0.0, 0.0, 0.0], kinds="P")
 SLIDE = ck.Law(SLIDER, ck.position("x"), alpha=1.0)
+LENGTHS, START = np.array([0.7, 1.1, 0.4]), np.array([0.3, -0.9, 0.6])
+FIGURE = ck.lissajous([0.4, 1.2], [0.3, 0.2], period=np.pi, phase=[0.0, 0.5])
+
+
+def closed_form(t, q, alpha):
+    """A 3-joint arm on a Lissajous figure, written without cnclik: tip by sums, J by jacfwd, J# by jnp.linalg."""
+
+    def tip(q):
+        phi = jnp.cumsum(q)
+        return jnp.array([-jnp.sum(LENGTHS * jnp.sin(phi)), jnp.sum(LENGTHS * jnp.cos(phi))])
+
+    target = lambda t: jnp.array([0.3 * jnp.sin(2 * t) + 0.4, 0.2 * jnp.sin(4 * t + 0.5) + 1.2])  # noqa: E731
+    x_d, xdot_d = jax.jvp(target, (t,), (jnp.ones_like(t),))
+    return jnp.linalg.pinv(jax.jacfwd(tip)(q)) @ (xdot_d + alpha * (x_d - tip(q)))
+
+
+def test_against_diffrax():
+    """Implicit Euler by its own Newton's method."""
+    import diffrax  # a second, of all workers, if it is at the top
+    import optimistix
+
+    law = ck.Law(ck.planar_arm(LENGTHS.tolist()), ck.position("xy"), alpha=4.0)
+    run = ck.solve(law, FIGURE, START, 0.05, 20, "IE", ck.picard(40))
+    solver = diffrax.ImplicitEuler(root_finder=optimistix.Newton(rtol=1e-12, atol=1e-12))
+    wanted = diffrax.diffeqsolve(
+        *(diffrax.ODETerm(closed_form), solver, 0.0, 1.0, 0.05, jnp.asarray(START)),
+        args=jnp.asarray(4.0),
+        saveat=diffrax.SaveAt(t0=True, steps=True),
+        stepsize_controller=diffrax.ConstantStepSize(),
+        max_steps=21,
+    )
+    close(run.q, wanted.ys[:21], atol=1e-11)
+    close(run.t, wanted.ts[:21], atol=1e-14)
 
 
 KUTTA = dict(
