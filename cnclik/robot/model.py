@@ -93,7 +93,7 @@ def _transforms(xp, rotation, position, last):
     return xp.concatenate([top, xp.broadcast_to(row, (*top.shape[:-2], 1, 4))], -2)
 
 
-def frames(chain: Model, q, tip: int = 0) -> Frames:
+def frames(chain: Model, q, tip: int) -> Frames:
     """Return all frames at q (n,), as arrays; as NumPy arrays if all are numbers, and then also for q (..., n).
 
     Args: tip: index of the tip.

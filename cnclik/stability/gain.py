@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import MOST, Drive, drive_in_words
+from cnclik.integrate.drive import LARGEST, MOST, Drive, drive_in_words
 from cnclik.integrate.method import DEFAULT, Method, MethodLike, named
 from cnclik.record import Number, replace
 from cnclik.stability.linear import describe, first_beyond, gain_removing, passes_of, removed
@@ -159,7 +159,8 @@ def gains(*, Ts: Number, drive: Drive | None = None, method: MethodLike = DEFAUL
     for name, values in (("Ts", [Ts]), ("drive", vars(drive).values() if isinstance(drive, Drive) else [])):
         if not all(map(errors.concrete, values)):
             raise errors.fail(name, "hold numbers", "is traced by JAX: call gains outside of jit, vmap and grad")
-    Ts, method, M = float(errors.number("Ts", Ts, positive=True)), named(method), passes_of(M)
+    Ts = float(errors.array("Ts", errors.number("Ts", Ts, positive=True), (), most=LARGEST))
+    method, M = named(method), passes_of(M)
     known = assumed_drive(Ts) if drive is None else errors.kind("drive", drive, Drive, "be Drive(...)")
     return _gains(limits(known, Ts), Ts, method, M, known, assumed=drive is None)
 

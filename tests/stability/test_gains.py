@@ -305,6 +305,7 @@ def test_rebased_servos_that_run_away_are_refused():
 
 test_bad_input_is_named = refusals(
     (lambda: ck.gains(Ts=0.0), "`Ts` must be positive"),
+    (lambda: ck.gains(Ts=1e308), "`Ts` must be within ±1e\\+12, but reaches 1e\\+308"),
     (lambda: ck.gains(Ts="4ms"), r"`Ts` must be a number, but is '4ms'"),
     (lambda: ck.gains(Ts=0.01, drive=0.03), r"`drive` must be Drive\(\.\.\.\)"),
     (lambda: ck.gains(Ts=0.01, method="EEE"), "`method` must be one of"),
