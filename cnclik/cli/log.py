@@ -80,7 +80,7 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     names, table = read_columns("LOG", log)
     if not np.isfinite(table).any():
         raise errors.fail("LOG", "hold numbers", f"{pathlib.Path(log).name} holds none")
-    Ts = None if Ts is None else errors.number("Ts", Ts, positive=True)
+    errors.number("Ts", 1.0 if Ts is None else Ts, positive=True)
     t, times, unit = clock(names, table, Ts)
     if t is None and Ts is None:
         raise errors.fail("Ts", "be given where no column is called t, time or stamp", "is not")

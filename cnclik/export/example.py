@@ -122,9 +122,7 @@ def _table(names, name, field, values) -> str:
 
 
 def _copy(place, table, field) -> str:
-    if field.shape:
-        return f"    memcpy({place}, {table}, sizeof {place});"
-    return f"    {place} = {table}[0];"
+    return f"    memcpy({place}, {table}, sizeof {place});" if field.shape else f"    {place} = {table}[0];"
 
 
 def readme(program, names, configuration) -> str:
