@@ -24,7 +24,7 @@ from cnclik.law.inverse import Damping, Levels, by_shift, least_of, pseudoinvers
 from cnclik.law.limits import Evaluation, slowed, velocity_scaling
 from cnclik.law.paths import A_REFERENCE
 from cnclik.precision import precise
-from cnclik.record import Array, ArrayLike, Float, Number, brief, leaf, record
+from cnclik.record import Array, ArrayLike, Float, Number, brief, leaf, record, xp_for
 from cnclik.robot import chart
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import Model, modelled
@@ -130,7 +130,7 @@ def _gains(task: Task, alpha):
         task.require_each("alpha", "have a gain for each task", alpha)
         sizes = {name: at.stop - at.start for name, at in task.each}
         each = [errors.array(f"alpha[{name!r}]", alpha[name], (), (m,)) * np.ones(m) for name, m in sizes.items()]
-        alpha = (np if all(map(errors.concrete, each)) else jnp).concatenate(each)
+        alpha = xp_for(each).concatenate(each)
     alpha = errors.array("alpha", alpha, (), (task.m,))
     if errors.concrete(alpha) and np.any(np.asarray(alpha) < 0):
         raise errors.fail("alpha", "not be negative", f"is {np.min(alpha):g}")

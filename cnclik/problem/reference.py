@@ -5,7 +5,6 @@ import pathlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
@@ -15,6 +14,7 @@ from cnclik.problem.tables import read_points
 from cnclik.reaching.public import reach
 from cnclik.reaching.result import ReachStatus
 from cnclik.reaching.targets import wanted_at
+from cnclik.record import xp_for
 from cnclik.robot import poses
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
@@ -139,7 +139,7 @@ def _known(values):
 def _away(arm):
     """The tip's pose after every joint moved by 0.3 rad or 0.1 m, at most a quarter of its range, towards the middle of
     its limits."""
-    chain, xp = arm.chain, np if errors.concrete(arm.q0) else jnp
+    chain, xp = arm.chain, xp_for(arm.q0)
     lower, upper = np.array(chain.lower), np.array(chain.upper)
     with np.errstate(invalid="ignore"):
         middle = (lower + upper) / 2  # NaN without limits: upwards

@@ -17,7 +17,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.engine.tracing import of_the_model
-from cnclik.record import AnyArray, Array, ArrayLike, Bool, Float, cast, mapped, memoized, record
+from cnclik.record import AnyArray, Array, ArrayLike, Bool, Float, cast, mapped, memoized, record, xp_for
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain
 from cnclik.robot.rotations import crossed, library, product, quaternion, rotation_from_quaternion
 
@@ -173,7 +173,7 @@ def modelled(tree):
 
 
 def _model(chain: Chain) -> Model:
-    xp = np if all(map(errors.concrete, jax.tree.leaves(chain))) else jnp  # NumPy does not compile
+    xp = xp_for(chain)
     joints, ways = chain.joints, [chain.way(i) for i in range(len(chain.tips))]
     mimic = None
     if [(j.coordinate, j.multiplier, j.offset) for j in joints] != [(i, 1.0, 0.0) for i in range(chain.n)]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from cnclik import errors, quantities
 from cnclik.problem.options import NAME, OPTIONS
+from cnclik.record import xp_for
 
 NAMES = tuple(name for name, option in OPTIONS.items() if option.kind == NAME)  # their values are never expressions
 COMPILED_IN = ("N", "delay", "measurement_delay")  # numbers that change a program's shape
@@ -155,7 +156,7 @@ _ALLOWED += (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd)
 
 
 def _call(name, *arguments):
-    return getattr(np if all(map(errors.concrete, arguments)) else jnp, name)(*arguments)
+    return getattr(xp_for(arguments), name)(*arguments)
 
 
 KNOWN = {name: functools.partial(_call, its) for name, its in FUNCTIONS.items()} | {"pi": math.pi}

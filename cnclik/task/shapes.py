@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.record import Array, ArrayLike, Float, Number, leaf, record
+from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, xp_for
 from cnclik.robot.rotations import safe_norm
 from cnclik.task.parts import At, Vector
 from cnclik.task.task import Task
@@ -118,8 +118,7 @@ def capsule(tip: str | None, radius: Number, start: Float[ArrayLike, " 3"], end:
     ends = [errors.array(name, value, (3,)) for name, value in (("start", start), ("end", end))]
     if all(map(errors.concrete, ends)) and not np.any(ends[0] != ends[1]):
         raise errors.fail("end", "be another point than `start`, or use ck.sphere", f"is {end!r}")
-    xp = np if all(map(errors.concrete, ends)) else jnp
-    return Rounded(tip=tip, ends=xp.stack(ends), radius=_radius(radius))
+    return Rounded(tip=tip, ends=xp_for(ends).stack(ends), radius=_radius(radius))
 
 
 def distance(one: Rounded, other: Rounded) -> Task:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.record import ArrayLike, Float, brief, memoized, record, replace
+from cnclik.record import ArrayLike, Float, brief, memoized, record, replace, xp_for
 from cnclik.robot.chain import Chain
 from cnclik.robot.rotations import library
 from cnclik.task.parts import At, Joints, places
@@ -194,7 +194,7 @@ def weighted(parts, each) -> Task:
     if any(isinstance(part, Joints) and part.wanted is None for part in parts):
         return Task(parts=parts, weights=each)
     whole = [spread(1.0 if weights is None else weights, part.m) for weights, part in zip(each, parts, strict=True)]
-    return Task(parts=parts, weights=(np if all(map(errors.concrete, whole)) else jnp).concatenate(whole))
+    return Task(parts=parts, weights=xp_for(whole).concatenate(whole))
 
 
 def spread(weights, m):
