@@ -80,7 +80,8 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     names, table = read_columns("LOG", log)
     if not np.isfinite(table).any():
         raise errors.fail("LOG", "hold numbers", f"{pathlib.Path(log).name} holds none")
-    errors.number("Ts", 1.0 if Ts is None else Ts, positive=True)
+    if Ts is not None:
+        errors.number("Ts", Ts, positive=True)
     t, times, unit = clock(names, table, Ts)
     if t is None and Ts is None:
         raise errors.fail("Ts", "be given where no column is called t, time or stamp", "is not")
@@ -139,7 +140,7 @@ def clock(names, table, Ts=None):
 
 
 def _unit_of(t, Ts) -> str:
-    """The unit of stamps: that in which their steps are nearest to Ts, may be samples, or the stamps are years."""
+    """The unit of stamps: in which their steps are nearest to Ts; without Ts in which they are some, and since 1970."""
     import numpy as np
 
     step = abs(np.nanmedian(np.diff(t))) if len(t) > 1 else 0.0

@@ -20,14 +20,13 @@ def run(robot: str) -> None:
 
         chain = load(robot)
         print(f"{robot}, built in, tip {(ROBOTS | PLANAR)[kind]}")
-        for joint in zip(chain.joint_names, chain.lower, chain.upper, chain.velocity_limit, strict=True):
-            print("  {}: {:.4g} to {:.4g} rad, up to {:.4g} rad/s".format(*joint))
+        each = zip(chain.joint_names, chain.lower, chain.upper, chain.units, chain.velocity_limit, strict=True)
+        print(*("  {0}: {1:.4g} to {2:.4g} {3}, up to {4:.4g} {3}/s".format(*joint) for joint in each), sep="\n")
         return
     tree = read_robot(file_of(robot) or robot)
     print(f"{tree.name}, base {tree.root}")
-    print_table(
-        ("link", "joint", "type", "lower", "upper", "velocity"), (tree.root, *[""] * 5), *_branches(tree), left=3
-    )
+    head = ("link", "joint", "type", "lower", "upper", "velocity")
+    print_table(head, (tree.root, *[""] * 5), *_branches(tree), left=3)
     moving = sum(edge.type != "fixed" for edge in tree.edges)
     mimic = sum(edge.mimic is not None for edge in tree.edges)
     print(f"{len(tree.links)} link{'s' * (len(tree.links) != 1)}, {moving} moving joints, {mimic} of them mimic.")

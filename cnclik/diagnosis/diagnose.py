@@ -71,16 +71,14 @@ class Diagnosis:
     note: str = ""
 
     def __str__(self):
-        words = [self.kind]
+        words = self.kind
         if self.drive is not None:
-            words += [
-                f": period {in_samples(self.period, self.Ts)}, amplitude × {self.growth:.4g} per sample, as with "
-            ]
-            words += [f"{drive_in_words(self.drive, self.Ts)}. Use an alpha of {self.recommended_alpha:.4g} 1/s, "]
-            words += [f"{self.factor:.3g} times the present gain"]
+            words += f": period {in_samples(self.period, self.Ts)}, amplitude × {self.growth:.4g} per sample"
+            words += f", as with {drive_in_words(self.drive, self.Ts)}"
+            words += f". Use an alpha of {self.recommended_alpha:.4g} 1/s, {self.factor:.3g} times the present gain"
         elif self.growth is not None:
-            words += [f": the error grows × {self.growth:.6g} per sample"]
-        return f"{''.join(words)}. {self.note}".strip()
+            words += f": the error grows × {self.growth:.6g} per sample"
+        return f"{words}. {self.note}".strip()
 
 
 def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | None = None) -> Diagnosis:

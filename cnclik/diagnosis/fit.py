@@ -329,10 +329,9 @@ def _recommended(log, kind, values, covs, gain) -> tuple:
         return max(gains(Ts=log.Ts, drive=_drive(log, kind, shape), method="EE").recommended, 1e-9)
 
     best, j = alpha(values), int(np.argmax(slow)) if np.ndim(slow) else 0  # the slowest joint decides
-    slowest = alpha(values[j : j + 1])
-    slope = np.array(
-        [np.log(alpha(values[j : j + 1] + STEP * way) / slowest) / STEP for way in np.eye(values.shape[1])]
-    )
+    one = values[j : j + 1]
+    slowest = alpha(one)
+    slope = np.log([alpha(one + STEP * way) / slowest for way in np.eye(one.size)]) / STEP
     spread = np.sqrt(max(slope @ covs[j] @ slope, 0.0))
     if best < 1e-6 or spread > OPEN:
         return None, ["No gain: gains for the drives that explain the log differ too much. Record a larger step."]

@@ -222,8 +222,9 @@ def _top(file, links, edges) -> str:
             raise bad(f"has {what} {twice[0]!r}")
     below: dict = {link: [] for link in links}
     for edge in edges:
-        if unknown := {edge.parent, edge.child} - below.keys():
-            raise bad(f"has no link {unknown.pop()!r}, which joint {edge.name!r} connects")
+        for link in (edge.parent, edge.child):
+            if link not in below:
+                raise bad(f"has no link {link!r}, which joint {edge.name!r} connects")
         below[edge.parent].append(edge.child)
     roots = sorted(below.keys() - children, key=links.index)
     reached = [*roots]
