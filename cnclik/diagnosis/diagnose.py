@@ -25,7 +25,7 @@ SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size be
 SIZES = (0.85, 1.7)  # ratio of the sizes in the two halves of its energy of what neither decays nor grows
 TURNED, HALF = 27.0, 179.0  # [degrees]: by less no error passes its target by 0.2 %; or a sign, about an oblique axis
 SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
-STEADY, HELD = 0.1, 2.0  # unrest of a sustained oscillation, at most; change in all its periods
+STEADY, RESTLESS, HELD = 0.1, 0.35, 2.0  # unrest of what lasts, of noise (0.52 by Rayleigh); change in all periods
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
 WIDE = 6.0  # ratio of the shares of the gain that likely drives tolerate: then the slower overshoot 10 %
 CLIPPED, SCALED = 3.0, 1.5  # ratio of a known gain to those that make the oscillation, of these to it, at most
@@ -147,7 +147,7 @@ def _swing(scaled, read, Ts, alpha) -> dict | None:
     change = mode.real * read.period
     held = bool(abs(change) * turns < np.log(HELD))
     excited = bool(not held and change < 0 and larger > SIZES[0])
-    spread = np.sqrt(max(-8 * read.mode.real, 0.0) / len(rows)) / read.mode.imag  # of two halves that noise excites
+    spread = (unrest > RESTLESS) * np.sqrt(max(-8 * read.mode.real, 0.0) / len(rows)) / read.mode.imag
     if turns > SWEPT and change < np.log(1.5) and alike and abs(np.log(faster)) > max(np.log(SWEEP), 2 * spread):
         return {"kind": UNDECIDED, "note": UNFINISHED}
     clipped = change > 0 or held
