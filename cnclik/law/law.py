@@ -111,9 +111,7 @@ class Law:
             "near_singular": leaf(errors.number("near_singular", self.near_singular, at_least=0)),
         }
         if self.error_clamp is not None:
-            checked["error_clamp"] = clamp = errors.array("error_clamp", self.error_clamp, (2,))
-            if errors.concrete(clamp) and np.min(clamp) <= 0:
-                raise errors.fail("error_clamp", "be positive", f"is {np.asarray(clamp).tolist()}")
+            checked["error_clamp"] = errors.array("error_clamp", self.error_clamp, (2,), positive=True)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
@@ -131,10 +129,7 @@ def _gains(task: Task, alpha):
         sizes = {name: at.stop - at.start for name, at in task.each}
         each = [errors.array(f"alpha[{name!r}]", alpha[name], (), (m,)) * np.ones(m) for name, m in sizes.items()]
         alpha = xp_for(each).concatenate(each)
-    alpha = errors.array("alpha", alpha, (), (task.m,))
-    if errors.concrete(alpha) and np.any(np.asarray(alpha) < 0):
-        raise errors.fail("alpha", "not be negative", f"is {np.min(alpha):g}")
-    return alpha
+    return errors.array("alpha", alpha, (), (task.m,), at_least=0)
 
 
 def check_loop(law, *references) -> None:
