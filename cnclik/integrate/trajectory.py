@@ -68,21 +68,14 @@ class Trajectory:
         lines = [f"Trajectory: {of}{N} steps, {np.shape(self.q)[-1]} joints, {np.shape(self.e)[-1]} task coordinates"]
         if not all(errors.concrete(v) and isinstance(v, (np.ndarray, jax.Array)) for v in jax.tree.leaves(self)):
             return lines[0]
-        t, e, qdot = (np.asarray(v) for v in (self.t, self.e, self.qdot))
-        size = np.linalg.norm(e, axis=-1)
-        lines[0] += f", {e.dtype}"
-        if t.size:
-            lines.append(f"  t       {t.min():.6g} to {t.max():.6g} s")
-        if size.size:
-            first, last = size[..., 0].max(), size[..., -1].max()
-            lines.append(f"  ‖e‖     {first:.4g} at first, {last:.4g} at last, at most {size.max():.4g} [m, rad]")
-        if qdot.size:
-            lines.append(f"  q̇       at most {np.abs(qdot).max():.4g} [rad/s, m/s]")
-        lines.append(f"  status  {counted(self.status)}")
-        if self.tasks and size.size:
-            for name, a, b in self.tasks:
-                own = np.linalg.norm(e[..., a:b], axis=-1)[..., -1].max()
-                lines.append(f"  {name}: ‖e‖ {own:.4g} at last, {counted(self[name].status)}")
+        lines[0] += f", {self.e.dtype}"
+        for name, a, b in (("", 0, np.shape(self.e)[-1]), *self.tasks):
+            size, status = np.linalg.norm(self.e[..., a:b], axis=-1), (self[name] if name else self).status
+            if size.size:
+                sizes = (
+                    f"{size[..., 0].max():.4g} at first, {size[..., -1].max():.4g} at last, at most {size.max():.4g}"
+                )
+                lines.append(f"  {name}{': ' * bool(name)}‖e‖ {sizes}; {counted(status)}")
         return "\n".join(lines)
 
 
