@@ -226,20 +226,13 @@ def turned(kept, before, new):
 
 @record
 class Step:
-    """One step of the loop: the fields of a `Trajectory` without the time axis.
+    """One step of the loop: the fields of a `Trajectory`, without the time axis.
 
     Attributes:
       q: (n,) joint values after the step [rad, m].
-      x: (m,) task coordinates before it [m, rad].
-      e: (m,) error before it, x_d − x [m, rad].
-      qdot: (n,) constant joint velocity during it [rad/s, m/s].
-      residual: last change of the implicit stage, as a joint displacement; 0 for explicit methods.
-      contraction: ratio of the last two changes; at 1 or more the iteration diverges.
+      x, e: (m,) task coordinates and error before it [m, rad].
       least: least singular value of the task Jacobian before it, an estimate from below; in a stack the least of its
         tasks.
-      status: bits of `Status`.
-      task_status: (tasks,) bits that each task of a stack has alone; None without a stack.
-      walls: (k,) margin of the approach velocity at each wall, see `Trajectory`; None without walls.
     """
 
     q: Float[Array, " n"]

@@ -79,20 +79,15 @@ class Trajectory:
         return "\n".join(lines)
 
 
-def check_run(run, law) -> None:
-    """Raise ArgumentError unless it is a run, or a batch of them, of this law's robot and task."""
-    errors.kind("run", run, Trajectory)
-    found, wanted = ((*np.shape(run.q)[-1:], *np.shape(run.e)[-1:]), (law.chain.n, law.task.m))
-    if found != wanted:
+def check_run(run, law=None, *, lanes=True) -> None:
+    """Raise ArgumentError unless it is a run of this law's robot and task; or several, if it may have lanes."""
+    axes = np.ndim(errors.kind("run", run, Trajectory).residual) - 1
+    if axes and not lanes:
+        raise errors.fail("run", "be one lane", f"has {axes} leading axes")
+    found = *np.shape(run.q)[-1:], *np.shape(run.e)[-1:]
+    if law is not None and found != (wanted := (law.chain.n, law.task.m)):
         must = f"be a Trajectory of this law, of {wanted[0]} joints and {wanted[1]} task coordinates"
         raise errors.fail("run", must, f"is of {' and '.join(map(str, found))}")
-
-
-def one_lane(run) -> None:
-    """Raise ArgumentError unless it is a single run."""
-    lanes = np.ndim(errors.kind("run", run, Trajectory).residual) - 1
-    if lanes:
-        raise errors.fail("run", "be one lane", f"has {lanes} leading axes")
 
 
 def truncate(run: Trajectory, N: int) -> Trajectory:
