@@ -22,7 +22,7 @@ from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import Method, evaluations_per_step
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.status import flags, growing, task_flags
-from cnclik.integrate.trajectory import Trajectory, steps_of
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
 from cnclik.law.paths import Reference
@@ -163,13 +163,12 @@ def run(loop: Loop, q0) -> Trajectory:
     empty = jnp.zeros(task.m, q0.dtype)
     (_, last), steps = jax.lax.scan(with_last, (state, (jnp.zeros_like(q0), empty, empty)), k)
 
-    def rows(name):
-        return jax.lax.slice_in_dim(getattr(steps, name), 0, N)
-
+    steps = jax.tree.map(lambda rows: jax.lax.slice_in_dim(rows, 0, N), steps)
+    of_steps = "qdot", "residual", "contraction", "status", "task_status", "walls"
     made = Trajectory(
         t=loop.t0 + k * loop.Ts,
-        **{name: jnp.concatenate([rows(name), end[None]]) for name, end in zip(("q", "x", "e"), last, strict=True)},
-        **{name: rows(name) for name in steps_of(steps)},
+        **{name: jnp.concatenate([getattr(steps, name), end[None]]) for name, end in zip("qxe", last, strict=True)},
+        **{name: getattr(steps, name) for name in of_steps},
         evaluations=jnp.asarray(N * evaluations_per_step(loop.method, loop.stage, loop.law.chain.n)),
         tasks=tuple((name, at.start, at.stop) for name, at in task.each),
     )

@@ -1,4 +1,4 @@
-"""Trajectory: the motion of a loop, instant by instant; and its first steps."""
+"""Trajectory: the motion of a loop, instant by instant."""
 
 from __future__ import annotations
 
@@ -8,9 +8,6 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.status import OWN, counted
 from cnclik.record import Array, Float, Int, record, replace
-
-INSTANTS = ("t", "q", "x", "e")  # N + 1 entries
-STEPS = ("qdot", "residual", "contraction", "status")  # N entries
 
 
 @record
@@ -88,15 +85,3 @@ def check_run(run, law=None, *, lanes=True) -> None:
     if law is not None and found != (wanted := (law.chain.n, law.task.m)):
         must = f"be a Trajectory of this law, of {wanted[0]} joints and {wanted[1]} task coordinates"
         raise errors.fail("run", must, f"is of {' and '.join(map(str, found))}")
-
-
-def truncate(run: Trajectory, N: int) -> Trajectory:
-    """Return the first N steps of a run, one lane."""
-    steps = run.status.shape[0]
-    cut = {name: getattr(run, name)[: N + (name in INSTANTS)] for name in (*INSTANTS, *steps_of(run))}
-    return replace(run, **cut, evaluations=run.evaluations * min(N, steps) // max(steps, 1))
-
-
-def steps_of(run):
-    """Return the names of the fields that a run or a step has per step."""
-    return STEPS + tuple(name for name in ("task_status", "walls") if getattr(run, name) is not None)
