@@ -218,10 +218,10 @@ def run_method(Ts: str, name: str) -> tuple[dict, dict]:
     runs, changes = {}, {}
     for i, (arm, lane) in enumerate(todo):
         n, cost = ARMS[arm].n, lane.N * evaluations_per_step(METHODS[name], picard(lane.M), ARMS[arm].n)
-        own = {f: getattr(run, f)[i, : lane.N + 1] for f in ("t", "q", "x", "e")}  # its own steps and joints
+        own: dict = {f: getattr(run, f)[i, : lane.N + 1] for f in ("t", "q", "x", "e")}  # its own steps and joints
         own |= {f: getattr(run, f)[i, : lane.N] for f in ("qdot", "residual", "contraction", "status")}
-        own |= {"q": own["q"][:, :n], "qdot": own["qdot"][:, :n]}
-        runs[arm, Ts, name, lane] = Trajectory(**own, evaluations=np.asarray(cost))
+        own |= {"q": own["q"][:, :n], "qdot": own["qdot"][:, :n], "evaluations": np.asarray(cost)}
+        runs[arm, Ts, name, lane] = Trajectory(**own)
         if residuals is not None and lane in _PAPER_LANES:
             changes[arm, Ts, name, lane] = residuals[i]
     return runs, changes
