@@ -132,7 +132,7 @@ class Graph:
         self.count += 1
         if self.count > self.most:
             raise SlowError(f"a program of more than {self.most} operations takes long to build")
-        node = Node()  # there are many thousands: a constructor would be a call more
+        node: Any = Node()  # there are many thousands: a constructor would be a call more
         node.op, node.args, node.params, node.shape, node.dtype = op, args, params, shape, np.dtype(dtype)
         node.value, node.block, node.number, node.exact = value, block, self.count, exact
         node.known = op == "const"
