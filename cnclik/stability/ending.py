@@ -167,9 +167,10 @@ class _Case:
         size = self.size if some is None else np.linalg.norm(self.e[:, some], axis=1)
         return size[self.last].max() <= max(ARRIVED * size[0] * self.still, self.floor, NOISE * self.sigma)
 
-    def shrinks(self) -> bool:
+    def shrinks(self, some=None) -> bool:
         """Whether the errors still become smaller."""
-        return self.error < STALL_RATIO * self.size[self.before].max()
+        size = self.size if some is None else np.linalg.norm(self.e[:, some], axis=1)
+        return size[self.last].max() < STALL_RATIO * size[self.before].max()
 
     def grows(self) -> bool:
         """Whether the errors of the last quarter are larger than those before."""
@@ -212,7 +213,8 @@ class _Case:
 
     def of_task(self, at, kind) -> str:
         """What a task of a stack did, in words; its error alone where the run shakes or is too short to tell."""
-        state = "settled" if self.arrived(at) else "stays" if self.still else "following"
+        rests = "still falls" if self.shrinks(at) else "stays"
+        state = "settled" if self.arrived(at) else rests if self.still else "following"
         says = state == "settled" or kind in ("settled", "following", "held back")
         return f"{self.largest(some=at)}{f' ({state})' * says}"
 

@@ -121,6 +121,8 @@ def test_each_task_of_a_stack_has_its_line():
     law = ck.Law(PANDA, tasks, alpha={"hand": 5.0, "rest": 1.0}, inverse=levels)
     said = judge(law, ck.hold_at(PANDA, tasks, QP, hand=ck.hold(P0 + np.array([0.1, 0, 0]))), QP, 0.01, 600)
     assert said.kind == Behaviour.SETTLED and "(settled)" in said.tasks["hand"], said  # a posture yields: no error
+    short = judge(law, ck.hold_at(PANDA, tasks, QP), QP + 0.05, 0.01, 300)  # the hand's error falls as exp(-15)
+    assert "(settled)" in short.tasks["hand"] and "(still falls)" in short.tasks["rest"], short
     law = ck.Law(PANDA, tasks, alpha=5.0, inverse=ck.damped(0.1))
     said = judge(law, ck.hold_at(PANDA, tasks, QP, hand=ck.hold(P0 + np.array([0.1, 0, 0]))), QP, 0.01, 600)
     assert said.kind == Behaviour.HELD_BACK and "contradict" in str(said) and "(stays)" in said.tasks["hand"], said
