@@ -95,7 +95,7 @@ class Law:
         if not callable(inverse):
             raise errors.fail("inverse", "be pseudoinverse(), damped(...) or levels(...)", f"is {inverse!r}")
         if isinstance(inverse, pseudoinverse) and task.m > n:
-            must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
+            must = f"have at most {n} coordinates, one per joint, or an inverse with a `damping` such as 0.05"
             raise errors.fail("task", must, f"has {task.m}: {', '.join(task.names)}")
         if isinstance(limits, bounded) and not isinstance(inverse, Damping):
             must = "be damped with limits=bounded(), as in inverse=damped(0.05)"

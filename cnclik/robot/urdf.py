@@ -201,9 +201,10 @@ def _tip_of(tree: Tree, tip, base) -> str:
     if tip is not None:
         return _link_of(tree, "tip", tip)
     candidates = tree.tips(base)
+    if not candidates:
+        raise errors.fail("robot", f"have a joint that moves after {base!r}", f"{tree.file} has none")
     if len(candidates) != 1:
-        some = f", such as {', '.join(candidates[:8])}" if candidates else f"; no joint moves after {base!r}"
-        raise errors.fail("tip", f"be given for {tree.file}{some}", "is not")
+        raise errors.fail("tip", f"be given for {tree.file}, such as {', '.join(candidates[:8])}", "is not")
     return candidates[0]
 
 

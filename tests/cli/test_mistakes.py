@@ -52,7 +52,10 @@ MISTAKES = [
     ("solve panda --target 0.3 0 0.4 0 0 0 0", "Option `--target` must hold a unit quaternion w x y z"),
     ("solve panda --target 300 0 400 --begin on-path", "millimetres are written with their unit."),
     ("solve panda --task xyzz", "Option `--task` must be pose, position, orientation, or coordinates such as xy"),
-    ("solve planar:1,1 --task pose", "must have at most 2 coordinates, one per joint, such as position()"),
+    (
+        "solve planar:1,1 --task pose",
+        "must have at most 2 coordinates, one per joint, or an inverse with a `--damping`",
+    ),
     ("solve panda --reference cirle", "Option `--reference` must be one of hold", "(did you mean 'circle'?)."),
     ("solve panda --radius 0.1", "Option `--radius` must be left out for the reference 'hold', but is 0.1."),
     ("solve panda --reference way.csv", "must have columns time x y z, but way.csv has time x y zz."),

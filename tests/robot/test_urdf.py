@@ -199,7 +199,7 @@ BAD = (
     (ROW + '<link name="a"/>', "more than one link 'a'"),
     (ROW.replace("j3", "j2"), "more than one joint 'j2'"),
     (ROW.replace("revolute", "round"), "type 'round'"),
-    (ROW.replace("revolute", "fixed"), "no joint moves after 'a'"),
+    (ROW.replace("revolute", "fixed"), "a joint that moves after 'a'"),
     (ROW.replace("0 0 1", "0 0 0"), "axis 0 0 0"),
     (ROW.replace("0 0 1", "0 0"), "joint 'j1' of the text has axis xyz '0 0', not three numbers"),
     (ROW.replace("0 0 1", "0 0 one"), "joint 'j1' of the text has axis xyz '0 0 one'"),
