@@ -99,8 +99,7 @@ class Drive:
                 raise errors.fail("smoothing", must, f"is {self.smoothing:g}")
         elif self.cutoff is not None:
             checked["cutoff"] = leaf(errors.number("cutoff", self.cutoff, positive=True))
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(checked)
 
     @property
     def order(self) -> int:

@@ -21,7 +21,7 @@ from cnclik.integrate.drive import Drive, Sampled, sampled
 from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import Method, evaluations_per_step
 from cnclik.integrate.stage import Stage
-from cnclik.integrate.status import flags, growing, task_flags
+from cnclik.integrate.status import flags, growing
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
@@ -164,20 +164,16 @@ def run(loop: Loop, q0) -> Trajectory:
     (_, last), steps = jax.lax.scan(with_last, (state, (jnp.zeros_like(q0), empty, empty)), k)
 
     steps = jax.tree.map(lambda rows: jax.lax.slice_in_dim(rows, 0, N), steps)
-    of_steps = "qdot", "residual", "contraction", "status", "task_status", "walls"
     made = Trajectory(
         t=loop.t0 + k * loop.Ts,
         **{name: jnp.concatenate([getattr(steps, name), end[None]]) for name, end in zip("qxe", last, strict=True)},
-        **{name: getattr(steps, name) for name in of_steps},
+        **{name: getattr(steps, name) for name in ("qdot", "residual", "contraction", "status", "walls")},
         evaluations=jnp.asarray(N * evaluations_per_step(loop.method, loop.stage, loop.law.chain.n)),
         tasks=tuple((name, at.start, at.stop) for name, at in task.each),
     )
     if not loop.direct:  # with noise an error grows and shrinks at random
         return made
-    grown, each = growing(loop.law, loop.reference, made.t, made.e)
-    if made.task_status is not None:
-        made = replace(made, task_status=made.task_status | each)
-    return replace(made, status=made.status | grown)
+    return replace(made, status=made.status | growing(loop.law, loop.reference, made.t, made.e))
 
 
 # --- drives and filters within the loop ---------------------------------------------------------------
@@ -242,7 +238,6 @@ class Step:
     contraction: Float[Array, ""]
     least: Float[Array, ""]
     status: Int[Array, ""]
-    task_status: Int[Array, " tasks"] | None = None
     walls: Float[Array, " k"] | None = None
 
 
@@ -268,7 +263,6 @@ def advance(law: Law, reference, q, t, Ts, method, stage, offset=None) -> Step:
         contraction=made.contraction,
         least=jnp.min(made.first.least),
         status=status,
-        task_status=task_flags(law, made.first),
         walls=made.first.walls,
     )
 

@@ -50,11 +50,9 @@ class Method:
             raise errors.fail("A", "be lower triangular, row i with i + 1 entries for each of `b`", f"is {self.A!r}")
         if len(c) != len(b):
             raise errors.fail("c", f"have shape ({len(b)},) like `b`", f"has shape ({len(c)},)")
-        order = errors.integer("order", self.order, at_least=1)
         if abs(sum(b) - 1) > ROUNDING:
             raise errors.fail("b", "hold weights whose sum is 1", f"has a sum of {sum(b):g}")
-        for name, value in (("A", A), ("b", b), ("c", c), ("order", order)):
-            object.__setattr__(self, name, value)
+        vars(self).update(A=A, b=b, c=c, order=errors.integer("order", self.order, at_least=1))
         if self.exponential and self.implicit:
             raise errors.fail("exponential", "be False for an implicit tableau", "is True")
 

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.status import OWN, counted
+from cnclik.integrate.status import counted
 from cnclik.record import Array, Float, Int, record, replace
 
 
@@ -27,8 +27,6 @@ class Trajectory:
       evaluations: number of evaluations of f(q, t) in the whole run, each with a Jacobian and an inverse.
       tasks: for a stack: (name, first, last + 1) of the coordinates of its tasks; `run["hands"]` is the run of one
         task.
-      task_status: (N, tasks) bits of `Status` that each task has alone, NEAR_SINGULAR and GROWING; None without a
-        stack.
       walls: (N, k) margin of the approach velocity at each wall of `bounded`, ∇h·q̇ + rate·h [m/s, rad/s]: 0 where the
         wall is active, negative where it is not kept because walls contradict each other or the bounds; None without
         walls.
@@ -44,20 +42,15 @@ class Trajectory:
     status: Int[Array, "*lanes N"]
     evaluations: Int[Array, "*lanes"]
     tasks: tuple[tuple[str, int, int], ...] = ()
-    task_status: Int[Array, "*lanes N tasks"] | None = None
     walls: Float[Array, "*lanes N k"] | None = None
 
     def __getitem__(self, name: str) -> Trajectory:
-        """The run of one task of a stack: its x and e, and its own status."""
-        names = [task for task, _, _ in self.tasks]
-        if not names:
+        """The run of one task of a stack: its x and e; all else is of the whole run."""
+        columns = {task: slice(first, last) for task, first, last in self.tasks}
+        if not columns:
             raise errors.fail("name", "be left out: the run is of no stack, see ck.stack", f"is {name!r}")
-        i = names.index(errors.one_of("name", name, names))
-        columns = slice(*self.tasks[i][1:])
-        status = self.status
-        if self.task_status is not None:
-            status = (status & ~int(OWN)) | self.task_status[..., i]
-        return replace(self, x=self.x[..., columns], e=self.e[..., columns], status=status, tasks=(), task_status=None)
+        own = columns[errors.one_of("name", name, columns)]
+        return replace(self, x=self.x[..., own], e=self.e[..., own], tasks=())
 
     def __repr__(self):
         *lanes, N = np.shape(self.status)
@@ -67,12 +60,10 @@ class Trajectory:
             return lines[0]
         lines[0] += f", {self.e.dtype}"
         for name, a, b in (("", 0, np.shape(self.e)[-1]), *self.tasks):
-            size, status = np.linalg.norm(self.e[..., a:b], axis=-1), (self[name] if name else self).status
-            if size.size:
-                sizes = (
-                    f"{size[..., 0].max():.4g} at first, {size[..., -1].max():.4g} at last, at most {size.max():.4g}"
-                )
-                lines.append(f"  {name}{': ' * bool(name)}‖e‖ {sizes}; {counted(status)}")
+            if (size := np.linalg.norm(self.e[..., a:b], axis=-1)).size:
+                first, last, most = (f"{part.max():.4g}" for part in (size[..., 0], size[..., -1], size))
+                lines.append(f"  {name}{': ' * bool(name)}‖e‖ {first} at first, {last} at last, at most {most}")
+        lines.append(f"  status: {counted(self.status)}")
         return "\n".join(lines)
 
 
