@@ -115,11 +115,6 @@ class Path:
         target, dtype = self.fn(t), jnp.result_type(t)
         if isinstance(target, Pose):
             return jnp.asarray(target.position, dtype), jnp.asarray(target.rotation, dtype)
-        if isinstance(target, (tuple, list)):
-            if any(map(jnp.ndim, target)):
-                must = "give a position, or a pose as ck.Pose(position=..., rotation=...)"
-                raise errors.fail("fn", must, f"gives a {type(target).__name__} of arrays")
-            target = jnp.stack([jnp.asarray(v, dtype) for v in target])
         return jnp.asarray(target, dtype), None
 
 

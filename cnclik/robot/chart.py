@@ -13,10 +13,7 @@ and a method adds vectors as usual. Its result becomes q by w = log(exp(w₀) ex
 of functions of q are computed there. For a robot without such joints y is q, and the charts cost nothing.
 """
 
-import functools
-
 import jax.numpy as jnp
-import numpy as np
 
 from cnclik.robot.rotations import log_quaternion, quaternion
 
@@ -50,14 +47,6 @@ def rates(chain, y, qdot):
 def between(chain, start, q):
     """Return the displacement (n,) from one posture to another: q − start, with log(R₀ᵀ R) for rotations."""
     return into(chain, start, q) - centre(chain, start)
-
-
-def apart(chain, starts, several):
-    """Return the displacements (..., n) to many postures, from one start or from as many."""
-    if not chain.balls:
-        return several - starts
-    starts = jnp.broadcast_to(jnp.asarray(starts), np.shape(several))
-    return jnp.vectorize(functools.partial(between, chain), signature="(n),(n)->(n)")(starts, jnp.asarray(several))
 
 
 def moved(chain, q, step):
