@@ -1,8 +1,6 @@
 """Drive: what lies between a joint's command and its motion, and which joint values the controller uses. NumPy only.
 
-A command passes the dead time, is constant for a sample, and is followed by G(s): immediately, with a lag, or like a
-second-order servo. The sampled model is exact for a constant command; the gains of `cnclik.stability` and the loop of
-`solve` (see `cnclik.integrate.loop`) use the same matrices.
+The sampled model is exact for a constant command; `cnclik.stability` and the loop of `solve` use the same matrices.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """lanes(fn): the meaning of jax.vmap(fn), laid out for the processor.
 
-`cnclik.engine.plan` chooses what runs a batch. On a CPU with a C compiler it is C on vectors, on all cores. Otherwise
-JAX gets it, on a CPU in tiles of a few dozen lanes, so few that a tile's data stay in the cache. Batches run in blocks
-of bounded size, side by side on all cores, or on all devices.
+What `cnclik.engine.plan` does not run as C runs in JAX, on a CPU in tiles whose data stay in the cache, in blocks of
+bounded size, side by side on all cores or devices.
 """
 
 import contextlib
@@ -96,7 +95,7 @@ def tiled(fn, *args, count=None):
       serves batches of any size up to that of `args`.
     """
     size = _size(jax.tree.leaves(args))
-    tile = min(_tile(), size)
+    tile = min(TILE if jax.default_backend() == "cpu" else DEVICE_BLOCK, size)
 
     def results_from(start):
         return jax.vmap(fn)(*jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, start, tile), args))
@@ -111,10 +110,6 @@ def tiled(fn, *args, count=None):
     shapes = jax.eval_shape(lambda: results_from(0))
     empty = jax.tree.map(lambda s: jnp.zeros((size, *s.shape[1:]), s.dtype), shapes)
     return lax.fori_loop(0, ((size if count is None else count) + tile - 1) // tile, put, empty)
-
-
-def _tile():
-    return TILE if jax.default_backend() == "cpu" else DEVICE_BLOCK
 
 
 def _blocks(in_jax, compiled, args, size, workers):

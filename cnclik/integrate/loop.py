@@ -1,10 +1,7 @@
 """Loop: the loop in time, as a state and a step that measures, advances, and passes the robot's drives.
 
-`solve` runs it and keeps the trajectory, `outcome` reduces it, tuning differentiates it, sweeps run many. Without
-drive and noise a step is `advance`.
-
-A measurement acts through one vector per step, w[k], the difference between the measured error and the error of the
-law's own chain. It is constant during a step, as for a controller that measures once per sample.
+A measurement acts through one vector per step, the difference between the measured error and that of the law's own
+chain. It is constant during a step, as for a controller that measures once per sample.
 """
 
 from __future__ import annotations
@@ -280,8 +277,7 @@ def _plain_march(law, reference, q, at, t, Ts, method, stage, offset):
 def summed(law, q, step, lost):
     """Return q + step within the law's position limits, and the rounding error of the sum (Kahan 1965).
 
-    In single precision, steps below half a spacing of q would otherwise be lost: the loop would stop short of its
-    target by ulp(q)/2/(alpha·Ts). Rotations have no rounding error to carry, and the rounding error no derivatives.
+    In single precision, steps below half a spacing of q would otherwise be lost, and the loop stop short of its target.
 
     Args: lost: the rounding error of the last step, to be added with this one.
     """

@@ -1,9 +1,7 @@
 """Method: one step in time as a Butcher tableau.
 
-A step takes slopes kᵢ = f(q + Ts Σⱼ Aᵢⱼ kⱼ, t + cᵢ Ts) and moves by Ts Σᵢ bᵢ kᵢ. A stage with Aᵢᵢ ≠ 0 is
-implicit; `cnclik.integrate.stage` explains how it is solved. From the tableau come the stepper, the stability
-function and the names on the command line. z = alpha·Ts, and R(z) is the factor by which one step
-multiplies the error of ė = −alpha e.
+A step takes slopes kᵢ = f(q + Ts Σⱼ Aᵢⱼ kⱼ, t + cᵢ Ts) and moves by Ts Σᵢ bᵢ kᵢ; one with Aᵢᵢ ≠ 0 is implicit. R(z),
+z = alpha·Ts, is the factor by which a step multiplies the error of ė = −alpha e.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""step and solve: the loop in time, checked and compiled.
-
-`advance` is one step of the loop, `loop.run` scans it over N steps. Everything is pure with static shapes: jit, vmap,
-jvp and grad go through for alpha, Ts, targets, q0, geometry and damping.
-"""
+"""step and solve: the loop in time, checked and compiled; jit, vmap, jvp and grad go through all its numbers."""
 
 from __future__ import annotations
 

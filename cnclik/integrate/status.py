@@ -56,8 +56,7 @@ class StepError(RuntimeError):
 
 def names(status: ArrayLike) -> str:
     """Return a status value in words, such as "NOT_CONVERGED|NEAR_SINGULAR"."""
-    status = int(np.asarray(status))
-    return "|".join(str(s.name) for s in Status if s and s & status) or "OK"
+    return str(Status(int(np.asarray(status))).name)
 
 
 def level(status: ArrayLike) -> np.ndarray:
@@ -69,8 +68,7 @@ def level(status: ArrayLike) -> np.ndarray:
 def count(status: ArrayLike) -> dict[str, int]:
     """Return the number of steps with each status name; a step may have several."""
     status = np.asarray(status)
-    counts = {"OK": int(np.sum(status == 0))}
-    return counts | {str(s.name): int(np.sum((status & s.value) != 0)) for s in Status if s}
+    return {"OK": int(np.sum(status == 0))} | {str(s.name): int(np.sum((status & s.value) != 0)) for s in Status}
 
 
 def counted(status) -> str:

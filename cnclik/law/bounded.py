@@ -1,11 +1,8 @@
 """Bounded least squares: the joint velocities within bounds that have the least weighted task error.
 
-They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² in low ≤ q̇ ≤ high; without bounds this is a damped inverse. The method
-is projected Newton steps (Bertsekas 1982), a descent from face to face of the box.
-
-A violated wall, floor − G q̇ > 0, costs its square over the wall's softness. So a minimum exists even if walls
-contradict each other or the bounds, and they share the violation. Multipliers y raise the floor by softness·y, and
-thereby keep the walls exactly (Hestenes 1969; Powell 1969).
+They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² in low ≤ q̇ ≤ high by projected Newton steps (Bertsekas 1982). A violated
+wall, floor − G q̇ > 0, costs its square over the wall's softness, so walls that contradict each other share the
+violation. Multipliers y raise the floor by softness·y, and so keep the walls exactly (Hestenes 1969; Powell 1969).
 """
 
 from __future__ import annotations
@@ -179,10 +176,9 @@ def swept(of: Problem, hessian, qdot, slope):
 def descent(of: Problem, start, passes) -> Pass:
     """Find the minimum within bounds, by at most `passes` passes from a start; the cost falls in each.
 
-    A pass locks the joints that would leave the bounds and makes a Newton step of the others, clipped to the bounds. If
-    that lowers the cost too little, it takes the step up to the first bound. After that no joint is unlocked before a
-    whole step, or a clipped one that is enough: otherwise some would unlock and lock for ever. Without walls, sweeps
-    over the joints first find most that are at a bound in the end.
+    A pass locks the joints that would leave the bounds and makes a Newton step of the others, clipped to the bounds; if
+    that lowers the cost too little, up to the first bound. Then no joint is unlocked before a step that is enough, as
+    some would unlock and lock for ever. Without walls, sweeps over the joints first find most that end at a bound.
     """
     hessian, eps, walled = of.hessian(), jnp.finfo(start.dtype).eps, len(of.walls.floor) > 0
     per_size, tolerance = 1.0 / jnp.diagonal(hessian), 1e-10 if eps < 1e-10 else 2e-5

@@ -1,7 +1,6 @@
 """J#: turns a task velocity into joint velocities.
 
-An inverse is a record. Called with the rows of J and the error, both weighted, it factors them once and returns a
-`Factored`: a function that applies J# to any number of task velocities, and an estimate of singularity.
+An inverse is a record, called with the rows of J and the error, both weighted; it returns a `Factored`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Law: what the loop does at each instant, q̇ = f(q, t).
 
-f(q, t) = J#(q) (ẋ_d + K e) + (I − J# J) q̇₀, the closed-loop inverse kinematics of Drexler (2016), eqs. 1-2,
-with K the gain and q̇₀ the pull of an optional posture in the null space of the task (Siciliano et al. 2009,
-eq. 3.54).
+f(q, t) = J#(q) (ẋ_d + K e) + (I − J# J) q̇₀, the closed-loop inverse kinematics of Drexler (2016), eqs. 1-2, with K the
+gain and q̇₀ the pull of an optional posture in the null space of the task (Siciliano et al. 2009, eq. 3.54).
 """
 
 from __future__ import annotations

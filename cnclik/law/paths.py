@@ -1,7 +1,6 @@
 """Paths: the references that cnclik builds, of curves.
 
-A curve is a record, so that points, periods and durations are parameters. It gives the target at a time: a position
-(d,), a rotation (3, 3), or None for one of them.
+A curve is a record, so that points and periods are parameters. It gives a position (d,) and a rotation (3, 3), or None.
 """
 
 from __future__ import annotations

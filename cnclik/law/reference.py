@@ -1,8 +1,4 @@
-"""References: the desired path x_d(t) and its exact velocity.
-
-A curve is a function of time that returns a target: a position (d,), a rotation (3, 3), or both. Its velocity comes
-from `jax.jvp`, so that path and feed-forward agree, unless an explicit feed-forward replaces it.
-"""
+"""References: the desired path x_d(t) and its exact velocity, by `jax.jvp` of the curve."""
 
 from __future__ import annotations
 

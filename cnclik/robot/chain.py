@@ -1,8 +1,7 @@
 """Chain: a robot from base to tip, or a tree with several tips, and the functions that build one.
 
-A joint is a fixed offset from the frame that carries it, followed by a rotation about an axis (revolute) or a
-translation along it (prismatic); the axis passes through the joint's own origin. Geometry in Python floats is compiled
-in. Geometry in arrays (link lengths to calibrate, a tool to sweep) stays a parameter. See `cnclik.record`.
+Geometry in Python floats is compiled in. Geometry in arrays (link lengths to calibrate, a tool to sweep) stays a
+parameter. See `cnclik.record`.
 """
 
 from __future__ import annotations

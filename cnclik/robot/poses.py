@@ -1,7 +1,4 @@
-"""Poses in the user's forms, read and checked in one place for all interfaces.
-
-A rotation may be as rough as three decimals; a known one is then made exact, in float64.
-"""
+"""Poses in the user's forms. A rotation may be as rough as three decimals; a known one is then made exact."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Task: what the loop controls, as parts; x are its coordinates, e = x_d − x their error.
 
-Of a pose they are positions along chosen axes [m], then components of the rotation vector [rad] that turns the tip
-into the desired orientation, in the base frame or another tip's. Tasks are joined by `&`, and given names by `stack`.
+Of a pose these are positions [m], then components of the rotation vector [rad] that turns the tip as desired.
 """
 
 from __future__ import annotations
