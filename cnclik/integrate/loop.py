@@ -88,14 +88,15 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
     """Return the state at rest at q0 (n,). Args: compensated: whether rounding errors of q are kept, see `summed`."""
     if loop.model is None:
         return State(q0, jnp.zeros_like(q0) if compensated else None)
-    law, drive, smooth = loop.law, loop.drive, None
+    law, drive, model = loop.law, loop.drive, loop.model
     at = observe(law, loop.reference, loop.t0, q0)
     late = (at.e,) * (0 if drive.feedback == "commanded" else drive.measurement_delay)
-    if drive.filters == "error":
-        smooth = jnp.zeros_like(at.e)
+    held = q0 if drive.steps_positions else jnp.zeros_like(q0)  # what was commanded before
+    smooth: Any = {"error": jnp.zeros_like(at.e), "command": held}.get(drive.filters)
     if drive.filters == "target":  # which was where the robot is
         smooth = tuple(part.here(at.robot) for part in law.task.parts)
-    return State(q0, drives=resting(law.chain, drive, loop.model, q0, late, smooth))
+    x = jnp.zeros((*q0.shape, model.size), q0.dtype).at[..., 0].set(chart.centre(law.chain, q0))
+    return State(q0, drives=Driven(x, jnp.tile(held, (model.remembered, 1)), q0, late, smooth))
 
 
 def one(loop: Loop, state: State, k):
@@ -114,9 +115,8 @@ def one(loop: Loop, state: State, k):
     seen, offset, at, drives = _measured(loop, state, t, k)
     made = advance(law, loop.reference, seen, t, loop.Ts, loop.method, loop.stage, offset)
     after, qdot = made.q, made.qdot
-    if loop.model is not None and drives is not None:
-        step = chart.between(law.chain, seen, made.q)
-        after, drives = driven(law.chain, loop.drive, loop.model, drives, q, seen, step, loop.Ts)
+    if drives is not None:
+        after, drives = _driven(loop, drives, q, seen, chart.between(law.chain, seen, made.q))
         qdot = 1 / loop.Ts * chart.between(law.chain, q, after)
     return State(after, drives=drives), replace(made, q=q, qdot=qdot, x=at.x(), e=at.e)
 
@@ -176,27 +176,15 @@ def run(loop: Loop, q0) -> Trajectory:
 # --- drives and filters within the loop ---------------------------------------------------------------
 
 
-def resting(chain, drive: Drive, model: Sampled, q, late=(), smooth=None) -> Driven:
-    """Return drives at rest at q (n,), commanded to stay there.
-
-    Args: late: the errors on their way. smooth: the filtered error or target.
-    """
-    x = jnp.zeros((*q.shape, model.size), q.dtype).at[..., 0].set(chart.centre(chain, q))
-    held = q if drive.steps_positions else jnp.zeros_like(q)
-    return Driven(x, jnp.tile(held, (model.remembered, 1)), q, late, held if drive.filters == "command" else smooth)
-
-
-def driven(chain, drive: Drive, model: Sampled, drives: Driven, q, seen, step, Ts) -> tuple[Array, Driven]:
-    """Return the joint values (n,) one sample after q (n,), and the drives then.
-
-    Args: seen, step: (n,) the joint values that the controller used, and its step from there.
-    """
+def _driven(loop, drives, q, seen, step):
+    """Return the joint values one sample after q, and the drives then, for a step from the values the law used."""
+    chain, drive, smooth = loop.law.chain, loop.drive, drives.smooth
     sent = chart.moved(chain, seen if drive.feedback == "rebased" else drives.sent, step)
-    command, smooth = sent if drive.steps_positions else step / Ts, drives.smooth
+    command = sent if drive.steps_positions else step / loop.Ts
     if drive.filters == "command":
-        command = smooth = averaged(drive.kept(Ts), smooth, command)
+        command = smooth = averaged(drive.kept(loop.Ts), smooth, command)
     line = jnp.concatenate([command[None], drives.line])[: len(drives.line)]
-    x = model.moved(drives.x, drives.line, command)
+    x = loop.model.moved(drives.x, drives.line, command)
     after = chart.out(chain, q, x[:, 0])
     if chain.balls:
         x = x.at[:, 0].set(chart.centre(chain, after))
