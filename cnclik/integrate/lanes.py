@@ -4,7 +4,6 @@ What `cnclik.engine.plan` does not run as C runs in JAX, on a CPU in tiles whose
 bounded size, side by side on all cores or devices.
 """
 
-import contextlib
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -166,14 +165,9 @@ class Batches:
             with jax.enable_x64(True):
                 call = functools.partial(self._in_tiles, jax.device_put(kept))
 
-        def threaded(leaves, size):
-            alone = size <= ALONE or available() == 1
-            with contextlib.nullcontext() if alone else side_by_side() as pool:
-                return call(leaves, size, pool, available())[0]
+        return lambda leaves, size: call(leaves, size, 1 if size <= ALONE else available())[0]
 
-        return threaded
-
-    def _in_tiles(self, kept, leaves, size, pool, _):
+    def _in_tiles(self, kept, leaves, size, cores):
         avals = self.avals[len(kept) :]
         leaves = [np.broadcast_to(x, (size, *a.shape)).astype(a.dtype) for x, a in zip(leaves, avals, strict=True)]
 
@@ -181,6 +175,5 @@ class Batches:
             some, count = [_part(x, first, self.most) for x in leaves], min(self.most, size - first)
             return np.asarray(self.run(kept, some, np.int32(count)))[:count]
 
-        with jax.enable_x64(True):
-            parts = (map if pool is None else pool.map)(as_here(part), range(0, size, self.most))
-            return [np.concatenate(list(parts))]
+        with jax.enable_x64(True), side_by_side(cores) as pool:
+            return [np.concatenate(list(pool.map(as_here(part), range(0, size, self.most))))]

@@ -102,11 +102,8 @@ def sphere(tip: str | None, radius: Number, center: Float[ArrayLike, " 3"] = (0.
       radius: [m].
       center: (3,) in the tip's frame [m].
     """
-    return Rounded(
-        tip=tip,
-        ends=errors.array("center", center, (3,))[None],
-        radius=leaf(errors.number("radius", radius, at_least=0)),
-    )
+    ends, radius = errors.array("center", center, (3,))[None], errors.number("radius", radius, at_least=0)
+    return Rounded(tip=tip, ends=ends, radius=leaf(radius))
 
 
 def capsule(tip: str | None, radius: Number, start: Float[ArrayLike, " 3"], end: Float[ArrayLike, " 3"]) -> Rounded:
