@@ -74,10 +74,7 @@ def lanes(fn: Callable, *, cores: int | None = None) -> Callable:
 
 def _size(leaves) -> int:
     """Return the batch size of all leaves."""
-    for leaf in leaves:
-        if not hasattr(leaf, "dtype"):  # the numbers of a list have shape ()
-            raise errors.fail("args", "be arrays, such as jnp.asarray(...) of a list", f"hold {leaf!r}")
-    sizes = {leaf.shape[:1] for leaf in leaves}
+    sizes = {np.shape(leaf)[:1] for leaf in leaves}  # of the numbers of a list ()
     if len(sizes) != 1 or sizes == {()}:
         found = sorted(str(s[0]) if s else "none" for s in sizes) or ["no arrays"]
         raise errors.fail("args", "be arrays with one leading batch axis of the same size", f"have {', '.join(found)}")

@@ -45,10 +45,8 @@ def charted(chain, start, field):
 def march(field, q, Ts, method: Method, stage, first=None, *, at=None):
     """Make one step of the method over `field`.
 
-    field(c, q) is the right-hand side at time t + c·Ts: anything with `qdot` (n,) and, for stages that
-    use it, `newton`. A law's field is an `Evaluation`; the stability function steps over a linear one.
-
     Args:
+      field: of (c, q), the right-hand side at t + c·Ts: anything with `qdot` (n,) and, for some stages, `newton`.
       first: field(0, q), if known.
       at: arguments of the field in place of c, one per stage, if it needs more than the time.
     """

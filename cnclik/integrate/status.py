@@ -119,8 +119,7 @@ def flags(law, q, qdot, e, residual, tolerance, first):
         low, high = chain.lower, chain.upper
         at_limit |= jnp.any(((q <= low) | (q >= high)) & ((q != low) | (q != high)))
     missed = False if first.walls is None else jnp.any(first.walls < -rounding_of(first.qdot))
-    bits = {Status.AT_LIMIT: at_limit, Status.OVER_VELOCITY: fast, Status.WALLS_CONTRADICT: missed}
-    for bit, holds in bits.items():
+    for bit, holds in ((Status.AT_LIMIT, at_limit), (Status.OVER_VELOCITY, fast), (Status.WALLS_CONTRADICT, missed)):
         if holds is not False:
             status |= jnp.where(holds, int(bit), 0)
     if law.task.m > chain.n and not law.task.tasks:

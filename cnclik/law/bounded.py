@@ -261,10 +261,8 @@ class bounded:
 
     They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² within the bounds ±Vᵢ and rate·(limit − qᵢ) of q̇ᵢ; q̇₀ is the
     null-space velocity. A joint approaches its limit exponentially, and one outside its limits comes back, whatever the
-    task asks for.
-
-    Within the bounds this is the result of the law's damped inverse. At the bounds it is as close to the task as
-    possible, in a direction that may differ; of `levels` the lower ones give way first, and the first by about
+    task asks for. Within the bounds this is the result of the law's damped inverse. At the bounds it is as close to the
+    task as possible, in a direction that may differ; of `levels` the lower ones give way first, and the first by about
     (λ₁/λ₂)². Derivatives are those of the minimum on its face of the box.
 
     It needs a damped inverse, best a constant one or levels; with `singular_damped` joints may jump between bounds. λ²
@@ -273,7 +271,7 @@ class bounded:
 
     Args:
       rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit.
-      passes: largest number of Newton steps; three are usual, and none of 60,000 postures took more than 19.
+      passes: largest number of Newton steps; three are usual.
       walls: what no part of the robot may cross, see `wall`, before all levels of the task. `Trajectory.walls` shows
         which are active, and by how much contradicting ones are missed.
     """

@@ -124,8 +124,7 @@ def tip_frames(chain: Model, at, axes, tip: int) -> Frames:
 def mass_frames(chain: Model, bodies: Float[Array, "j+1 4"], q) -> Frames:
     """Return the centre of mass at q (n,) as a tip: `jacobian_at` gives its rows of the Jacobian.
 
-    Joint i moves it by sᵢ aᵢ × (cᵢ − pᵢ), or sᵢ aᵢ, where cᵢ is the centre and sᵢ the share of the mass that it
-    carries.
+    Joint i moves it by sᵢ aᵢ × (cᵢ − pᵢ), or sᵢ aᵢ, by the share sᵢ of the mass that it carries and its centre cᵢ.
     """
     at = joint_frames(chain, q)
     xp = library(at, bodies)

@@ -21,9 +21,7 @@ PoseLike = ArrayLike | Any  # one of FORMS, or numbers that are only a position
 def whole(name, value, *, finite=True):
     """Return (positions (..., 3), rotations (..., 3, 3)) of one or several whole poses; None for anything else.
 
-    Args:
-      value: of FORMS; transforms (4, 4) or (B, 4, 4), numbers (7,) or (B, 7).
-      finite: whether numbers must be finite; otherwise a status reports them.
+    Args: value: of FORMS; transforms (4, 4) or (B, 4, 4), numbers (7,) or (B, 7). finite: whether numbers must be.
     Raises: ArgumentError for invalid transforms and quaternions.
     """
     place = getattr(value, "translation", getattr(value, "position", None))

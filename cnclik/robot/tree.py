@@ -57,10 +57,6 @@ class Tree:
             joints[e.parent].append(e)
         return joints
 
-    @property
-    def leaves(self) -> tuple:
-        return tuple(link for link in self.links if not self.below[link])
-
     def way(self, tip, base=None) -> tuple:
         """Return the path from base (default: the root) to tip: joints up to the common link, and down from there."""
         up, down = ([*self._upward(link)] for link in (base or self.root, tip))
@@ -81,7 +77,7 @@ class Tree:
             link, moves = waiting.pop()
             moved[link] = moves
             waiting += [(e.child, moves or e.type != "fixed") for e in self.below[link]]
-        return tuple(leaf for leaf in self.leaves if moved.get(leaf))
+        return tuple(link for link in self.links if moved.get(link) and not self.below[link])
 
 
 def text_of(file) -> str | None:

@@ -104,11 +104,9 @@ class _Walk:
             self._add(edge, turned, leader, multiplier, offset)
 
     def beside(self) -> None:
-        """Walk to all other links, for their masses.
+        """Walk to all other links, for their masses; links on a floating or planar joint are another body and left out.
 
-        Joints without a coordinate stay as near to 0 as their limits allow; a mimic joint follows its leader, or stays
-        where that does. Links on a floating or planar joint are another body and left out. Ball joints keep the file's
-        orientation.
+        Joints without a coordinate stay as near to 0 as their limits allow, and ball joints as in the file.
         """
         waiting = [*self.at]
         for link in waiting:

@@ -81,8 +81,7 @@ test_batches_that_do_not_fit = refusals(
     (lambda: lanes(max)(), "`args` must .*have no arrays"),
     (lambda: lanes(max)(jnp.ones(3), jnp.ones(4)), "`args` must .*have 3, 4"),
     (lambda: lanes(max)(jnp.ones(())), "`args` must .*have none"),
-    (lambda: lanes(max)(1.0), r"`args` must .*be arrays, such as jnp.asarray\(...\) of a list, but hold 1.0"),
-    (lambda: lanes(max)([[1.0, 2.0], [3.0, 4.0]]), "`args` must .*be arrays, such as jnp.asarray"),
+    (lambda: lanes(max)([[1.0, 2.0], [3.0, 4.0]]), "`args` must .*have none"),
     (lambda: lanes(max)(jnp.ones((0, 2))), "`args` must .*hold 0"),
 )
 
