@@ -124,14 +124,10 @@ class Drive:
         return self.feedback == "commanded" or (self.steps_positions and self.feedback == "measured")
 
     @property
-    def ideal(self) -> bool:
-        """Whether the motion equals the command."""
-        return self.order == 0 and self.delay == 0 and self.filters != "command"
-
-    @property
     def prompt(self) -> bool:
         """Whether the loop equals the one without drives."""
-        return self.ideal and self.measurement_delay == 0 and self.feedback != "commanded" and not self.filters
+        at_once = self.order == 0 and self.delay == 0 and self.measurement_delay == 0
+        return at_once and self.feedback != "commanded" and not self.filters
 
     @property
     def lumped(self) -> Self:
@@ -265,10 +261,7 @@ def _held(a, b, h, xp):
 
 
 def _exponential(a):
-    """Return exp(A) of (..., s, s) in NumPy: exp(A/2ᵏ) − 1 as a series, squared k times.
-
-    SciPy's calls LAPACK, whose threads wait for each other longer than such a small matrix takes.
-    """
+    """Return exp(A) of (..., s, s) in NumPy: exp(A/2ᵏ) − 1 as a series, squared k times; SciPy's waits for threads."""
     size = np.abs(a).sum(-1).max(initial=0.0)
     doublings = max(math.frexp(size)[1] + 1, 0)  # scales the norm to at most 1/2
     a, less = a / 2.0**doublings, np.zeros_like(a)

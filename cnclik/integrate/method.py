@@ -7,13 +7,10 @@ z = alpha·Ts, is the factor by which a step multiplies the error of ė = −alp
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import Any
 
 from cnclik import errors
 from cnclik.record import with_jax
-
-if TYPE_CHECKING:
-    from cnclik.integrate.stage import Count  # a method alone needs no JAX
 
 ROUNDING = 1e-9  # rounding of weights written as decimals
 
@@ -136,7 +133,7 @@ METHODS = {m.name: m for m in (*_PLAIN, EXP_EE, EXP_HEUN, EXP_MIDPOINT, EXP_RK4)
 DEFAULT = EXP_MIDPOINT  # second order, without a limit of z: see results/methods
 
 
-def evaluations_per_step(method: Method, stage, n: int) -> Count:
+def evaluations_per_step(method: Method, stage, n: int) -> Any:
     """Return the evaluations of f(q, t) in one step of n joints; an array if the stage's M is one."""
     explicit = sum(1 for i, row in enumerate(method.A) if row[i] == 0)
     implicit = len(method.A) - explicit

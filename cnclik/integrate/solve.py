@@ -21,8 +21,6 @@ from cnclik.law.reference import REFERENCE, References, check
 from cnclik.record import ArrayLike, Float, Number, cast
 from cnclik.robot.model import modelled
 
-# --- public -------------------------------------------------------------------------------------------
-
 
 def solve(
     law: Law,

@@ -134,8 +134,8 @@ class Tangent:
 def interval(times, t):
     """Return k, 0 … K − 2, with times[k] ≤ t < times[k + 1] for rising times (K,); the first or last one outside.
 
-    By bisection with basic operations, as the primitives of `jnp.searchsorted` differ between versions of JAX. Written
-    out, as XLA for GPUs fails where a loop reads a table at an index that a loop inside it finds (openxla/xla #49299).
+    By bisection, written out: XLA for GPUs fails where a loop reads a table at an index that a loop inside it finds
+    (openxla/xla #49299), and the primitives of `jnp.searchsorted` differ between versions of JAX.
     """
     times, last = jnp.asarray(times), times.shape[0] - 1
     low, high = jnp.int32(0), jnp.int32(last)
@@ -278,17 +278,15 @@ def waypoints(
     positions: Float[ArrayLike, "K d"] | None = None,
     rotations: Float[ArrayLike, "K ..."] | None = None,
 ) -> Reference:
-    """Move through waypoints on a C² path: velocity and acceleration are continuous.
+    """Move through waypoints on a C² path, from rest to rest.
 
-    Positions follow the cubic spline through the points. Orientations follow the cubic spline of their
-    quaternions (signs aligned), normalised: it passes through every waypoint and does not depend on the
-    frame the rotations are given in. It starts and ends at rest.
+    Positions follow the cubic spline through the points, orientations that of their quaternions (signs aligned),
+    normalised, which does not depend on the frame the rotations are given in.
 
     Args:
       times: (K,) increasing [s].
       positions: (K, d) [m], or None.
-      rotations: (K, 3, 3) rotations or (K, 4) unit quaternions w, x, y, z, or None; neighbours less than
-        180° apart.
+      rotations: (K, 3, 3) rotations or (K, 4) unit quaternions w, x, y, z, or None; neighbours less than 180° apart.
     """
     if not errors.concrete(times):
         raise errors.fail("times", "be known numbers", "is traced")
@@ -329,8 +327,7 @@ def _quaternions(rotations):
 def path(fn: Callable) -> Reference:
     """Follow any differentiable function t -> position (array or tuple of length d), or t -> `Pose`.
 
-    The function is compiled into the programs that use it, as under `jax.jit`: values that it closes over are read
-    then.
+    It is compiled into the programs that use it, as under `jax.jit`: values that it closes over are read then.
     """
     if not callable(fn):
         raise errors.fail("fn", "be a function of time", f"is {fn!r}")

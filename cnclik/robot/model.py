@@ -94,10 +94,7 @@ def _transforms(xp, rotation, position, last):
 
 
 def frames(chain: Model, q, tip: int) -> Frames:
-    """Return all frames at q (n,), as arrays; as NumPy arrays if all are numbers, and then also for q (..., n).
-
-    Args: tip: index of the tip.
-    """
+    """Return all frames of a tip, by its index, at q (n,); where all are numbers in NumPy, also for q (..., n)."""
     return tip_frames(*moved(chain, q), tip)
 
 
