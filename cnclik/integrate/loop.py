@@ -21,8 +21,8 @@ from cnclik.integrate.drive import Drive, Sampled, sampled
 from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import Method, evaluations_per_step
 from cnclik.integrate.stage import Stage
-from cnclik.integrate.status import flags, growing, task_flags
-from cnclik.integrate.trajectory import Trajectory, steps_of
+from cnclik.integrate.status import flags, growing
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
 from cnclik.law.paths import Reference
@@ -163,22 +163,17 @@ def run(loop: Loop, q0) -> Trajectory:
     empty = jnp.zeros(task.m, q0.dtype)
     (_, last), steps = jax.lax.scan(with_last, (state, (jnp.zeros_like(q0), empty, empty)), k)
 
-    def rows(name):
-        return jax.lax.slice_in_dim(getattr(steps, name), 0, N)
-
+    steps = jax.tree.map(lambda rows: jax.lax.slice_in_dim(rows, 0, N), steps)
     made = Trajectory(
         t=loop.t0 + k * loop.Ts,
-        **{name: jnp.concatenate([rows(name), end[None]]) for name, end in zip(("q", "x", "e"), last, strict=True)},
-        **{name: rows(name) for name in steps_of(steps)},
+        **{name: jnp.concatenate([getattr(steps, name), end[None]]) for name, end in zip("qxe", last, strict=True)},
+        **{name: getattr(steps, name) for name in ("qdot", "residual", "contraction", "status", "walls")},
         evaluations=jnp.asarray(N * evaluations_per_step(loop.method, loop.stage, loop.law.chain.n)),
         tasks=tuple((name, at.start, at.stop) for name, at in task.each),
     )
     if not loop.direct:  # with noise an error grows and shrinks at random
         return made
-    grown, each = growing(loop.law, loop.reference, made.t, made.e)
-    if made.task_status is not None:
-        made = replace(made, task_status=made.task_status | each)
-    return replace(made, status=made.status | grown)
+    return replace(made, status=made.status | growing(loop.law, loop.reference, made.t, made.e))
 
 
 # --- drives and filters within the loop ---------------------------------------------------------------
@@ -226,20 +221,13 @@ def turned(kept, before, new):
 
 @record
 class Step:
-    """One step of the loop: the fields of a `Trajectory` without the time axis.
+    """One step of the loop: the fields of a `Trajectory`, without the time axis.
 
     Attributes:
       q: (n,) joint values after the step [rad, m].
-      x: (m,) task coordinates before it [m, rad].
-      e: (m,) error before it, x_d − x [m, rad].
-      qdot: (n,) constant joint velocity during it [rad/s, m/s].
-      residual: last change of the implicit stage, as a joint displacement; 0 for explicit methods.
-      contraction: ratio of the last two changes; at 1 or more the iteration diverges.
+      x, e: (m,) task coordinates and error before it [m, rad].
       least: least singular value of the task Jacobian before it, an estimate from below; in a stack the least of its
         tasks.
-      status: bits of `Status`.
-      task_status: (tasks,) bits that each task of a stack has alone; None without a stack.
-      walls: (k,) margin of the approach velocity at each wall, see `Trajectory`; None without walls.
     """
 
     q: Float[Array, " n"]
@@ -250,7 +238,6 @@ class Step:
     contraction: Float[Array, ""]
     least: Float[Array, ""]
     status: Int[Array, ""]
-    task_status: Int[Array, " tasks"] | None = None
     walls: Float[Array, " k"] | None = None
 
 
@@ -276,7 +263,6 @@ def advance(law: Law, reference, q, t, Ts, method, stage, offset=None) -> Step:
         contraction=made.contraction,
         least=jnp.min(made.first.least),
         status=status,
-        task_status=task_flags(law, made.first),
         walls=made.first.walls,
     )
 

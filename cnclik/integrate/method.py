@@ -11,8 +11,6 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from cnclik import errors
 from cnclik.record import with_jax
 
@@ -52,13 +50,9 @@ class Method:
             raise errors.fail("A", "be lower triangular, row i with i + 1 entries for each of `b`", f"is {self.A!r}")
         if len(c) != len(b):
             raise errors.fail("c", f"have shape ({len(b)},) like `b`", f"has shape ({len(c)},)")
-        order = errors.integer("order", self.order, at_least=1)
         if abs(sum(b) - 1) > ROUNDING:
             raise errors.fail("b", "hold weights whose sum is 1", f"has a sum of {sum(b):g}")
-        if (reached := _reached(A, np.array(b), np.array(c), order)) < order:
-            raise errors.fail("order", f"be {reached}, that of the weights", f"is {order}")
-        for name, value in (("A", A), ("b", b), ("c", c), ("order", order)):
-            object.__setattr__(self, name, value)
+        vars(self).update(A=A, b=b, c=c, order=errors.integer("order", self.order, at_least=1))
         if self.exponential and self.implicit:
             raise errors.fail("exponential", "be False for an implicit tableau", "is True")
 
@@ -77,23 +71,6 @@ with_jax(lambda jax: jax.tree_util.register_static(Method))
 def _weights(name, values) -> tuple:
     """Return weights or times of a method as a tuple of floats."""
     return tuple(float(x) for x in errors.array(name, values, (None,)))
-
-
-def _reached(A, b, c, most) -> int:
-    """Return the largest order up to `most` whose conditions hold (Hairer, Nørsett & Wanner 1993, II.2, Table 2.2).
-
-    From 5 on the order is taken as it is given.
-    """
-    A = np.array([(*row, *(0.0,) * (len(b) - len(row))) for row in A])
-    ac = A @ c
-    conditions = {
-        2: (b @ c - 1 / 2, *(A.sum(1) - c)),
-        3: (b @ c**2 - 1 / 3, b @ ac - 1 / 6),
-        4: (b @ c**3 - 1 / 4, (b * c) @ ac - 1 / 8, b @ A @ c**2 - 1 / 12, b @ A @ ac - 1 / 24),
-    }
-    return next(
-        (order - 1 for order, left in conditions.items() if order <= most and np.abs(left).max() > ROUNDING), most
-    )
 
 
 def _tableau(name, order, A, b, source) -> Method:

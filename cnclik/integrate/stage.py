@@ -54,9 +54,8 @@ class Stage:
                 raise errors.fail("M", f"be 0 to `maximum`, {maximum}", f"is {np.min(M)} to {np.max(M)}")
         elif maximum is None:
             raise errors.fail("maximum", "be given where M is a traced array", "is None")
-        object.__setattr__(self, "M", M)
-        object.__setattr__(self, "maximum", errors.integer("maximum", maximum, at_least=0))
-        object.__setattr__(self, "tolerance", float(self.tolerance))
+        maximum = errors.integer("maximum", maximum, at_least=0)
+        vars(self).update(M=M, maximum=maximum, tolerance=float(self.tolerance))
 
     def __str__(self):
         return f"{type(self).__name__}({self.M})"

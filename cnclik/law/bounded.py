@@ -294,9 +294,7 @@ class bounded:
             replace(item, name=item.name or str(i), rate=rate if item.rate is None else item.rate)
             for i, item in enumerate(self.walls, 1)
         )
-        checked = {"rate": rate, "passes": errors.integer("passes", self.passes, at_least=1), "walls": walls}
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(rate=rate, passes=errors.integer("passes", self.passes, at_least=1), walls=walls)
 
     def on(self, chain) -> bounded:
         """Return the limits with their walls for this robot. Raises: ArgumentError for unknown tips and joints."""

@@ -70,6 +70,8 @@ class Line:
 
 @record
 class Circle:
+    """A circle, or by several frequencies a Lissajous figure."""
+
     center: Float[Array, " d"]
     first: Float[Array, " d"]  # from the centre at t = 0
     second: Float[Array, " d"]  # and a quarter of a cycle later
@@ -80,11 +82,6 @@ class Circle:
     def __call__(self, t):
         angle = 2 * math.pi / self.period * t * self.frequency
         return self.center + jnp.cos(angle) * self.first + jnp.sin(angle) * self.second, self.rotation
-
-
-@record
-class Lissajous(Circle):
-    """See `lissajous`."""
 
 
 @record
@@ -245,7 +242,7 @@ def circle(
     xp = xp_for(phase)  # NumPy compiles nothing
     c, s = xp.cos(phase), xp.sin(phase)
     first, second = radius * (c * u + s * v), radius * (c * v - s * u)
-    return _periodic(Circle, period, rotation, center=center, first=first, second=second)
+    return _periodic(period, rotation, center=center, first=first, second=second)
 
 
 def lissajous(
@@ -272,14 +269,14 @@ def lissajous(
     phase = errors.array("phase", np.zeros(d) if phase is None else phase, (d,))
     amplitude, xp = errors.array("amplitude", amplitude, (d,)), xp_for(phase)
     first, second = amplitude * xp.sin(phase), amplitude * xp.cos(phase)
-    return _periodic(Lissajous, period, rotation, center=center, first=first, second=second, frequency=frequency)
+    return _periodic(period, rotation, center=center, first=first, second=second, frequency=frequency)
 
 
-def _periodic(kind, period, rotation, **fields):
+def _periodic(period, rotation, **fields):
     """Return the reference of a periodic curve."""
     if errors.concrete(errors.number("period", period)) and float(period) == 0:
         raise errors.fail("period", "not be 0", "is 0")
-    return Reference(curve=kind(rotation=_rotation("rotation", rotation), period=leaf(period), **fields))
+    return Reference(curve=Circle(rotation=_rotation("rotation", rotation), period=leaf(period), **fields))
 
 
 def waypoints(

@@ -18,7 +18,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.status import Status
-from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
+from cnclik.integrate.trajectory import Trajectory, check_run
 from cnclik.law import reference as ref
 from cnclik.law.inverse import least_squared
 from cnclik.law.law import Law, check_loop, weighted
@@ -227,7 +227,7 @@ def measure_run(
     Returns: `Metrics` in the order of `names`, with units.
     Raises: ArgumentError for a batch, for an unknown name (the nearest is suggested), or a metric without such a task.
     """
-    one_lane(run)
+    check_run(run, lanes=False)
     check_loop(law, reference)
     errors.number("tolerance", tolerance, positive=True)
     check(names, law)

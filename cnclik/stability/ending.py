@@ -16,7 +16,7 @@ from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT, MethodLike
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.status import Status, rounding_of
-from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
+from cnclik.integrate.trajectory import Trajectory, check_run
 from cnclik.law.law import Law, check_loop
 from cnclik.law.paths import Reference
 from cnclik.measure.outcome import STALL_RATIO
@@ -94,8 +94,7 @@ def verdict(
 @in_float64_if_known
 def _verdict(law, reference, run, dtype, method, stage, drive, noise) -> Verdict:
     check_loop(law, reference)
-    one_lane(run)
-    check_run(run, law)
+    check_run(run, law, lanes=False)
     if len(run.residual) == 0:
         raise errors.fail("run", "have at least one step", "has none")
     Ts = float(run.t[-1] - run.t[0]) / len(run.residual)

@@ -199,9 +199,7 @@ def weighted(parts, each) -> Task:
 
 def spread(weights, m):
     """Return positive weights (m,), of one number for all, too."""
-    weights = errors.array("weights", weights, (), (m,))
-    if errors.concrete(weights) and not np.all(np.asarray(weights) > 0):
-        raise errors.fail("weights", "be positive", f"is {np.asarray(weights).tolist()}")
+    weights = errors.array("weights", weights, (), (m,), positive=True)
     return weights if weights.ndim else weights * np.ones(m)
 
 

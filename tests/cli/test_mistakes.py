@@ -39,7 +39,7 @@ MISTAKES = [
     ("solve panda --gain 5", "Unknown option --gain; did you mean --alpha?"),
     ("solve panda --dt 0.01", "Unknown option --dt; did you mean --Ts?"),
     ("solve panda --alpha", "Option `--alpha` must be given numbers, but has no value."),
-    ("solve panda --alpha -5", "Option `--alpha` must not be negative, but is -5."),
+    ("solve panda --alpha -5", "Option `--alpha` must be at least 0, but is -5."),
     ("solve panda --Ts 250Hz", "Option `--Ts` must be a number, but is '250Hz' (units: s, ms, us)."),
     ("solve panda --Ts 0", "Option `--Ts` must be positive, but is 0."),
     ("solve panda --Ts 0,01", "but is '0,01': write 0.01."),
