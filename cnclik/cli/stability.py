@@ -181,7 +181,8 @@ def _in_words(response, Ts) -> str:
     settles = f"settles in {response.settling_time:.3g} s"
     settles = settles if response.settling_time < math.inf else "does not settle to within 2 % in the simulated time"
     late = f"{in_samples(response.delay_margin / Ts, Ts)} more" if response.delay_margin < math.inf else "any"
-    return f"{over} and {settles}; it tolerates {response.gain_margin:.3g} times this gain, or {late} dead time"
+    more = f"{response.gain_margin:.3g} times this" if response.gain_margin < math.inf else "any"
+    return f"{over} and {settles}; it tolerates {more} gain, or {late} dead time"
 
 
 def _costs(found, response, speed) -> None:
