@@ -253,7 +253,8 @@ def _map(found, given, made):
     endings, names = data.ending.values, data.ending.attrs["flag_meanings"].split()
     print(f"{endings.size:,} loops:", ", ".join(f"{name} {np.sum(endings == i)}" for i, name in enumerate(names)))
     title = f"{made.name}, {describe(made.method, found.M)}, N = {N}\n"
-    return data, {"title": title + textwrap.fill(drive_in_words(drive, made.Ts), 60), "operating": (rate, made.Ts)}
+    drives = drive_in_words(drive, made.Ts) + f" at Ts = {1e3 * made.Ts:.4g} ms" * bool(drive.delay)  # in samples
+    return data, {"title": title + textwrap.fill(drives, 60), "operating": (rate, made.Ts)}
 
 
 _FIGURES = {"plane": _plane, "gains": _gains, "map": _map}
