@@ -181,7 +181,8 @@ def _in_words(response, Ts) -> str:
     settles = f"settles in {response.settling_time:.3g} s"
     settles = settles if response.settling_time < math.inf else "does not settle to within 2 % in the simulated time"
     late = f"{in_samples(response.delay_margin / Ts, Ts)} more" if response.delay_margin < math.inf else "any"
-    return f"{over} and {settles}; it tolerates {response.gain_margin:.3g} times this gain, or {late} dead time"
+    more = f"{response.gain_margin:.3g} times this" if response.gain_margin < math.inf else "any"
+    return f"{over} and {settles}; it tolerates {more} gain, or {late} dead time"
 
 
 def _costs(found, response, speed) -> None:
@@ -252,7 +253,8 @@ def _map(found, given, made):
     endings, names = data.ending.values, data.ending.attrs["flag_meanings"].split()
     print(f"{endings.size:,} loops:", ", ".join(f"{name} {np.sum(endings == i)}" for i, name in enumerate(names)))
     title = f"{made.name}, {describe(made.method, found.M)}, N = {N}\n"
-    return data, {"title": title + textwrap.fill(drive_in_words(drive, made.Ts), 60), "operating": (rate, made.Ts)}
+    drives = drive_in_words(drive, made.Ts) + f" at Ts = {1e3 * made.Ts:.4g} ms" * bool(drive.delay)  # in samples
+    return data, {"title": title + textwrap.fill(drives, 60), "operating": (rate, made.Ts)}
 
 
 _FIGURES = {"plane": _plane, "gains": _gains, "map": _map}

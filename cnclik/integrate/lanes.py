@@ -5,6 +5,7 @@ bounded size, side by side on all cores or devices.
 """
 
 import functools
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -121,11 +122,17 @@ def _blocks(in_jax, compiled, args, size, workers):
         part, device = jax.tree.map(lambda x: _part(x, start, block), args), workers[start // block % len(workers)]
         return jax.tree.map(np.asarray, in_jax(*(part if device is None else jax.device_put(part, device))))
 
+    starts = range(0, size, block)
     with side_by_side(len(workers)) as pool:
-        parts = [] if compiled.get(key) else [run(0)]  # compile once, not once per thread
-        compiled[key] = True
-        parts += pool.map(run, range(block * len(parts), size, block))
-    return jax.tree.map(lambda *each: jnp.asarray(np.concatenate(each)[:size]), *parts)
+        first = None if compiled.get(key) else run(0)  # compile once, not once per thread
+        compiled[key], whole = True, None
+        parts = pool.map(run, starts) if first is None else itertools.chain([first], pool.map(run, starts[1:]))
+        for start, part in zip(starts, parts, strict=True):  # in place, so that memory holds the results once
+            if start == 0:
+                whole = jax.tree.map(lambda x: np.empty((size, *x.shape[1:]), x.dtype), part)
+            for into, x in zip(*map(jax.tree.leaves, (whole, part)), strict=True):
+                into[start : start + block] = x[: size - start]
+    return jax.tree.map(jnp.asarray, whole)
 
 
 def _part(x, start, block):

@@ -59,7 +59,10 @@ def _z(data):
     """Return alpha·Ts of each loop; None where it isn't known."""
     if "z" in data.dims:
         return data["z"]
-    fixed = DEFAULTS | json.loads(data.attrs.get("spec", "{}")).get("fixed", {})
+    spec = {"fixed": {}, "axes": {}} | json.loads(data.attrs.get("spec", "{}"))
+    tables = [table for axis in spec["axes"].values() if isinstance(axis, dict) for table in axis.values()]
+    varied = [name for table in tables if isinstance(table, dict) for name in table]  # by an axis of tables
+    fixed = DEFAULTS | spec["fixed"] | dict.fromkeys(varied)
     alpha, Ts = (data[n] if n in data.dims else fixed[n] for n in ("alpha", "Ts"))
     Ts = evaluate("Ts", Ts) if is_quantity(Ts) else Ts
     known = all(isinstance(v, int | float) or getattr(v, "dtype", np.dtype("O")).kind == "f" for v in (alpha, Ts))

@@ -65,7 +65,7 @@ MISTAKES = [
     ("solve panda --limits box", "Option `--limits` must be one of velocity_scaling, bounded, but is 'box'."),
     ("solve panda --delay 150 --lag 20ms", "Option `--delay` must be at most 101 samples"),
     ("stability --damping-ratio 0.7", "Option `--damping-ratio` must come with a natural_frequency"),
-    ("solve cell.py", "cell.py, line 3: Law has no argument `gain` (did you mean 'alpha'?)."),
+    ("solve cell.py", "cell.py, line 3: Law has no argument 'gain' (did you mean 'alpha'?)."),
     ("solve empty.py", "must name a Python file with a function problem(), but empty.py has none."),
     ("solve panda --out log.csv", "Option `--out` must be a folder that can be written into, but is 'log.csv'"),
     ("solve panda --q0 0 90 dog", "numbers, but is '0 90 dog' (units: m, cm, mm, um, rad, mrad, deg)"),
