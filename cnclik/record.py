@@ -115,7 +115,7 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
         key = "_flat" if jax.config.jax_enable_x64 else "_flat32"
         found = self.__dict__.get(key)
         if found is None:
-            found = partition(tuple(getattr(self, n) for n in names))
+            found = partition(tuple(map(self.__dict__.__getitem__, names)))
             if key == "_flat32":  # arrays of its own: JAX remembers by identity what it made of a constant, as float32
                 found = [_own(v) if type(v) is np.ndarray else v for v in found[0]], found[1]
             object.__setattr__(self, key, found)

@@ -45,8 +45,8 @@ def sums(g, name, firsts, factors):
                 left, right = factors[i]
                 if k >= len(left) or (made[i] is not None and (left[k].nothing or right[k].nothing)):
                     continue
-                product = g.op("mul", left[k], right[k])
-                made[i] = product if made[i] is None else g.op(name, made[i], product)
+                product = g.apply("mul", (left[k], right[k]), right[k].dtype)
+                made[i] = product if made[i] is None else g.apply(name, (made[i], product), product.dtype)
     return made
 
 
