@@ -6,6 +6,7 @@ import pytest
 import cnclik as ck
 from cnclik import ReachStatus
 from cnclik.reaching.starts import spans
+from cnclik.reaching.targets import wanted_at
 from tests.oracles import ARMS, robots
 from tests.reaching.test_reach import tips
 
@@ -219,3 +220,8 @@ def test_starts_cover_the_limits_and_one_turn_of_a_wide_joint():
     pi = np.pi
     np.testing.assert_allclose(low, [-1, -pi, 1, -2 - 2 * pi, 1 - 2 * pi, 5, -pi])
     np.testing.assert_allclose(high, [2, pi, 1 + 2 * pi, -2, 1, 5 + 2 * pi, pi])
+
+
+def test_where_a_path_is_has_its_coordinates_in_the_order_of_space():
+    task = (ck.position("z") & ck.position("xy")).on(ck.panda())
+    assert wanted_at(ck.hold([0.3, 0.1, 0.2]), task, 0.0)[1][0].tolist() == [0.3, 0.1, 0.2]
