@@ -119,7 +119,7 @@ def _of_robot(found, made, speed, of_file) -> dict:
 
     law, facts = made.law, {"name": made.name}
     limit = np.asarray(law.chain.velocity_limit, float)
-    if law.task.lengths and np.isfinite(limit).any():
+    if law.task.lengths and not law.task.tasks and np.isfinite(limit).any():  # a stack has several tips
         inverse = np.linalg.pinv(law.task.rows_at(modelled(law.chain), np.asarray(made.q0, float)))
         share = np.linalg.norm(inverse[:, list(law.task.lengths)], axis=1) * speed / limit
         facts |= {"joint": law.chain.joint_names[int(np.argmax(share))], "share_of_its_velocity_limit": share.max()}
