@@ -55,6 +55,9 @@ def run(
     if draw:
         errors.integer("N", given.get("N", 100), at_least=4, at_most=errors.MOST)
         load_ahead("cnclik.show.style")
+    alone = [name for name in given if name not in (*DRIVE, "Ts", "method", "M", "alpha")]
+    if robot is None and alone and "map" not in draw:
+        raise errors.fail(alone[0], "come with ROBOT or --draw map", "comes without")
     if robot is None:
         drive, known = {name: value for name, value in given.items() if name in DRIVE}, DEFAULTS | given
         how = {name: known[name] for name in ("Ts", "method", "M")}
@@ -119,7 +122,7 @@ def _of_robot(found, made, speed, of_file) -> dict:
 
     law, facts = made.law, {"name": made.name}
     limit = np.asarray(law.chain.velocity_limit, float)
-    if law.task.lengths and np.isfinite(limit).any():
+    if law.task.lengths and not law.task.tasks and np.isfinite(limit).any():  # a stack has several tips
         inverse = np.linalg.pinv(law.task.rows_at(modelled(law.chain), np.asarray(made.q0, float)))
         share = np.linalg.norm(inverse[:, list(law.task.lengths)], axis=1) * speed / limit
         facts |= {"joint": law.chain.joint_names[int(np.argmax(share))], "share_of_its_velocity_limit": share.max()}

@@ -44,7 +44,7 @@ def small(monkeypatch):
     monkeypatch.setattr(laid_out, "LANES_PER_CALL", 8)
 
 
-@pytest.mark.parametrize("engine", [None, "xla", "plain"])
+@pytest.mark.parametrize("engine", [None, "xla"])
 def test_same_as_vmap(engine, small):
     with ck.use_engine(engine):
         tiled = lanes(_final, cores=2)

@@ -110,6 +110,7 @@ def test_a_path_out_of_reach():
     law = ck.Law(ck.planar_arm([1.0, 1.0]), XY, alpha=5.0, inverse=ck.damped(0.1), error_clamp=(0.1, 0.1))
     said = judge(law, ck.circle([3.0, 0.0], 0.2, period=2.0), np.array([0.3, 0.5]), 0.02, 200)
     assert said.kind == "held back" and re.search(r"of reach at t = \S+ s: .* is 8\d\d mm away", said.sentence), said
+    assert f"the error is at most {said.error:.3g} m" in said.sentence
     law = ck.replace(law, error_clamp=None)  # where it ends it can be reached, at t = 4 s 0.7 m are missing
     said = judge(law, ck.circle([1.5, 0.0], 1.2, period=2.0), np.array([0.3, 0.5]), 0.02, 225)
     assert said.kind == "held back" and re.search(r"out of reach at t = (3.9|4|4.0)\d* s", said.sentence), said
