@@ -73,7 +73,7 @@ def start_posture(chain: Chain, *tasks):
 
 
 def evenly(count: int, n: int):
-    """Return points (count, n) that fill the unit cube evenly (Roberts 2018), the first its centre; the same anywhere."""
+    """Return points (count, n) that fill the unit cube evenly (Roberts 2018), the first its centre; always the same."""
     base = 2.0
     for _ in range(50):
         base = (1 + base) ** (1 / (n + 1))
