@@ -13,6 +13,7 @@ JAX loads when a record first meets it: methods, drives and gains are records th
 import dataclasses
 import functools
 import importlib
+import operator
 import sys
 from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 from typing import Annotated as Bool
@@ -50,12 +51,13 @@ def is_literal(value) -> bool:
     return written or (callable(value) and not dataclasses.is_dataclass(value))
 
 
+_is_none = functools.partial(operator.is_, None)  # without a frame of its own
 HOLE = object()  # marks, among the literals, the place of an array
 
 
 def partition(tree):
     """Split any tree into its arrays (a list) and its literals (hashable)."""
-    leaves, treedef = jax.tree.flatten(tree, is_leaf=lambda v: v is None)
+    leaves, treedef = jax.tree.flatten(tree, is_leaf=_is_none)
     values = tuple([v if is_literal(v) else HOLE for v in leaves])
     return [v for v, literal in zip(leaves, values, strict=True) if literal is HOLE], (treedef, values)
 

@@ -14,7 +14,7 @@ from jax.interpreters import partial_eval
 
 from cnclik.engine import over_rows, stacks
 from cnclik.engine.arrays import ARRAYS, REDUCTIONS, RUNNING
-from cnclik.engine.cells import CALLS, MOVES, array_of, called, moved
+from cnclik.engine.cells import CALLS, MOVES, array_of, called
 from cnclik.engine.graph import Graph, Node, UnsupportedError
 from cnclik.engine.matrices import MATRICES
 from cnclik.engine.operations import DTYPES, NAMES, check_dtype
@@ -106,8 +106,8 @@ class Reader:
         return array_of([self.g.const(c.value, c.dtype, exact=True) if c.known else c for c in x.flat], x.shape)
 
     def _of_cells(self, name, eqn, cells):
-        if (found := moved(eqn, cells)) is not None:
-            return found
+        if name in MOVES:
+            return [MOVES[name](*cells, **eqn.params)]
         if name in ELEMENTWISE:
             return [self._elementwise(eqn, cells)]
         if name in RULES:
