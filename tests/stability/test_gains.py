@@ -9,7 +9,6 @@ import subprocess
 import numpy as np
 import pytest
 import scipy.linalg
-import scipy.signal
 
 import cnclik as ck
 from cnclik.integrate.drive import Drive
@@ -93,6 +92,8 @@ def test_margins_are_those_of_scipy(name):
     if drive.feedback == "commanded":
         return
     loop, s = scalar_loop(drive, Ts), 0.02
+    import scipy.signal  # takes as long as half of the package, and is of no other test
+
     system = scipy.signal.StateSpace(loop.A, loop.b[:, None], loop.C[None], np.zeros((1, 1)), dt=Ts)
     w = np.geomspace(1e-3, np.pi, 50)
     _, response = scipy.signal.dfreqresp(system, w)
@@ -363,7 +364,7 @@ def test_the_page_answers_as_gains_does(tmp_path):
     rng, loops, wanted = np.random.default_rng(20261129), [], []
     names = dict(natural_frequency="frequency", damping_ratio="damping")
     rest = dict(lag=0, frequency=0, damping=1, command="velocity", feedback="measured", smoothing=0, smoothed="error")
-    for drive, Ts, method, M in (drawn(rng) for _ in range(80)):
+    for drive, Ts, method, M in (drawn(rng) for _ in range(40)):
         found = ck.gains(Ts=Ts, drive=ck.Drive(**drive), method=method, M=M)
         elsewhere = {name: one.value or 0.0 for name, one in (found.elsewhere if len(loops) < 10 else {}).items()}
         did = (found.response.settling_time, found.response.overshoot) if found.response else (0, 0)
