@@ -97,11 +97,11 @@ def test_an_arm_at_the_end_of_its_reach():
     def law(damping, alpha=60.0):
         return ck.Law(THREE, XY, alpha=alpha, inverse=ck.damped(damping), limits=limits)
 
-    said = judge(law(0.5), far, Q3, 1 / 60, 600, "EXP-MIDPOINT")
+    said = judge(law(0.2), far, Q3, 1 / 60, 600, "EXP-MIDPOINT")
     nearest = ck.reach(THREE, 1.6 * P3, task=XY)
     assert said.kind == Behaviour.HELD_BACK and "out of reach" in str(said) and "swings" in str(said), said
     assert f"{1e3 * float(nearest.position_error):.3g} mm away" in str(said)
-    for calm in (law(said.change["damping"]), law(0.5, 10.0)):
+    for calm in (law(said.change["damping"]), law(0.2, 10.0)):
         said = judge(calm, far, Q3, 1 / 60, 600, "EXP-MIDPOINT")
         assert said.kind == Behaviour.HELD_BACK and "swings" not in str(said), said
 
