@@ -56,7 +56,9 @@ def test_each_tip_has_a_path_and_a_target():
     """Also one that is seen from the other hand; a coordinate that nobody asks for is the tip's own."""
     robot = load_urdf(robot_file("g1"), tips=HANDS)
     task = ck.stack(
-        grip=ck.pose(tip=HANDS[1], relative_to=HANDS[0]), box=ck.position("yz", tip=HANDS[0]), rest=ck.joints()
+        grip=ck.pose(tip=HANDS[1], relative_to=HANDS[0]),
+        box=ck.position("yz", tip=HANDS[0]),
+        rest=ck.joints(robot.joint_names[:1]),
     )
     law, q = ck.Law(robot, task, alpha=5.0, inverse=ck.damped(0.1)), np.full(robot.n, 0.3)
     left = np.asarray(ck.forward(robot, q, tip=HANDS[0]).position)
