@@ -24,11 +24,13 @@ TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which th
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
 SIZES = (0.85, 1.7)  # ratio of the sizes in the two halves of its energy of what neither decays nor grows
 TURNED = 27.0  # [degrees], by less than which an error passes its target by less than 0.2 %
+HALF = 179.0  # [degrees]: about an oblique axis a wrong sign of two directions
 SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
 STEADY = 0.1  # unrest of a sustained oscillation, at most
 HELD = 2.0  # change in all its periods, at most, of a sustained oscillation
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
-WIDE, CLIPPED = 1.9, 3.0  # ratio of likely gains (then the slower overshoot 10 %), of a known one to them, at most
+WIDE = 6.0  # ratio of the shares of the gain that likely drives tolerate: then the slower overshoot 10 %
+CLIPPED, SCALED = 3.0, 1.5  # ratio of a known gain to those that make the oscillation, of these to it, at most
 SETTLED, PASSED = 0.03, 0.05  # shares of a motion that are left in the end, and beyond its end, where nothing is wrong
 ALIKE, ABOVE = 0.1, 1.25  # relative difference of the periods of one mode; factor up to which a task's gain may stay
 UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at rest, and record until it rests again."
@@ -36,6 +38,7 @@ STILL = "No column moves by more than some steps of its resolution."
 WRONG_SIGN = "Each step adds to the error: the sign of error, Jacobian or command is wrong. No gain helps."
 DECAYS = "It decays without overshoot by this log: no smaller gain is needed."
 OPEN = "It oscillates, but the drives that may be behind it tolerate gains too different: record a step (--step)."
+SMALL = "alpha is too small to make it oscillate like this: counts of an encoder, noise or a path may."
 PATH = "A path of this period looks alike: record with the target at rest."
 UNLESS = "Where position commands start at the measured joints a smaller gain may not help: start each at the last one."
 
@@ -114,19 +117,25 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     if not scaled.shape[1]:
         return {"kind": CALM, "note": STILL}
     sure = UNKNOWN if alpha is None else SURE
-    spin = loop.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None
-    if spin is not None and np.linalg.norm(spin[0]) > TURNED:
-        turn, z, steady = spin
+    turn, z, steady = (loop.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None) or (np.zeros(3), 0, 0)
+    main = int(np.argmax(np.abs(turn)))
+    angle = float(np.copysign(np.linalg.norm(turn), turn[main]))
+    along = abs(turn[main]) > 0.99 * abs(angle)
+    if abs(angle) > TURNED and (abs(angle) < HALF or along):
         if steady if alpha is None else not SAME[0] < z / (alpha * Ts) < SAME[1]:
             return {"kind": UNDECIDED, "note": UNFINISHED}  # as on a circular path
-        main = int(np.argmax(np.abs(turn)))
-        angle = float(np.copysign(np.linalg.norm(turn), turn[main]))
-        axis = "xyz"[main] if abs(turn[main] / angle) > 0.99 else np.round(turn / angle, 2)
+        axis = "xyz"[main] if along else np.round(turn / angle, 2)
         note = f"Error and Jacobian are in frames turned by {abs(angle):.3g}° against each other about {axis}: no gain "
         note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
         return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=sure, note=note)
     if rate := loop.growth(scaled):
         return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=sure, note=WRONG_SIGN)
+    tail, x = max(len(scaled) // 5, 8), loop.main_parts(scaled)[:, 0]
+    x = x - np.median(x[-tail:])
+    x = x[(push := int(np.argmax(np.abs(x)))) :] / (x[push] or 1.0)
+    settled = len(x) > tail and np.std(x[-tail:]) < SETTLED and np.min(x) > -PASSED
+    if settled and alpha is None:
+        return {"kind": CALM, "note": DECAYS}
     if read is not None and read.evidence > EVIDENCE_KNOWN:
         if np.isfinite(read.period) and read.swings > SURELY:
             fields = _swing(scaled[read.first : read.last], read, Ts, alpha)
@@ -134,11 +143,7 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
                 return fields
         elif read.swings < 1 - SURELY and read.rests:
             return {"kind": CALM, "note": DECAYS}
-    tail, x = max(len(scaled) // 5, 8), loop.main_parts(scaled)[:, 0]
-    x = (x - np.median(x[-tail:])) / ((x[0] - np.median(x[-tail:])) or 1.0)
-    if np.std(x[-tail:]) < SETTLED and np.min(x) > -PASSED:
-        return {"kind": CALM, "note": DECAYS}
-    return {"kind": UNDECIDED, "note": UNFINISHED}
+    return {"kind": CALM, "note": DECAYS} if settled else {"kind": UNDECIDED, "note": UNFINISHED}
 
 
 def _swing(rows, read, Ts, alpha) -> dict | None:
@@ -151,9 +156,12 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
     change = mode.real * read.period
     held = bool(abs(change) * turns < np.log(HELD))
     excited = bool(not held and change < 0 and larger > SIZES[0])
-    if turns > SWEPT and change < np.log(1.5) and alike and not 1 / SWEEP < faster < SWEEP:
+    spread = np.sqrt(max(-8 * read.mode.real, 0.0) / len(rows)) / read.mode.imag  # of two halves that noise excites
+    if turns > SWEPT and change < np.log(1.5) and alike and abs(np.log(faster)) > max(np.log(SWEEP), 2 * spread):
         return {"kind": UNDECIDED, "note": UNFINISHED}
-    drive, ends, present, most, wide = loop.drives_of(read, mode, Ts, alpha, clipped=change > 0 or held)
+    drive, ends, present, least, most, wide = loop.drives_of(read, mode, Ts, alpha, clipped=change > 0 or held)
+    if alpha is not None and least > SCALED * alpha:
+        return {"kind": CALM, "note": SMALL}
     if wide > WIDE if alpha is None else alpha > CLIPPED * most:
         return {"kind": UNDECIDED, "note": OPEN}
     best = gains(Ts=Ts, drive=drive, method="EE").recommended

@@ -21,12 +21,14 @@ ROWS = 2000  # rows that are read, those that move most: more change no digit of
 PER_PERIOD, DEAD = 24, 16  # rows of a period that are kept, and of dead time, which is below a quarter of it
 LAGS = (0.0, 1.0, 2.5, 6.0, 15.0)  # of these rows; the phase at the limit changes by 20° from one to the next
 PATHS = (0, 1, 2, 4, 8, 12, 16)  # columns of a path's basis: offset, drift, bends, slow sines
+COUNTS = 6.0  # of an encoder each, that the joints below a tip make at rest
 UNMODELLED = 0.005  # share of the steps that no linear loop explains
 VISIBLE = 0.1  # of an error, by which a loop passes its target if its gain is too large
 ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone, or a dead time, is better than others
 USUAL = 0.05  # [s] of a usual lag: larger ones count less
 KNOWN = 0.15  # relative deviation of the loop's gain from a known one
-TAIL, MIDDLE = 0.1, 0.6  # share of the likely drives beyond each end; where between the ends' gains that chosen is
+SELDOM = 0.03  # how often a limit of torque or velocity lowers the gain, beside loops without one
+TAIL, MIDDLE = 0.1, 0.6  # share of the likely drives beyond each end; where between the ends' shares that chosen is
 LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
 ALIKE = 25.0  # of the criterion, within which another dead time explains a spiral as well
@@ -69,6 +71,10 @@ def prepared(y):
     """Columns that move by more than noise and resolution, in units of these or a tenth of their deviation."""
     step, span = np.array([resolution_of(column) for column in y.T]), np.ptp(y, axis=0)
     moves = (span > 1e-12 * np.abs(y).max(0)) & (span > 3.5 * step)
+    steps = np.linalg.norm(np.diff(y, axis=0), axis=1)
+    steps, rows = steps[steps > 1e-12 * np.abs(y).max()], len(steps)
+    if 0 < 2 * len(steps) < rows:  # most rows repeat: these are counts, which a tip's error adds up over its joints
+        moves &= np.linalg.norm(span) > COUNTS * np.median(steps)
     unit = np.maximum(np.maximum(0.1 * np.std(y, axis=0), noise_of(y)), step)
     return ((y - y[0]) / np.where(unit > 0, unit, 1.0))[:, moves]
 
@@ -210,8 +216,9 @@ def read(y) -> Loop | None:
 def drives_of(read, mode, Ts, alpha, *, clipped) -> tuple:
     """Drives with dead time, and a lag, whose loop s + α e^(−Ds)/(τs + 1) has a mode s [1/row].
 
-    Returns one that tolerates a gain between those of the ends; the ends, between which most of the likely ones are;
-    the mean gain of their loops [1/s], the larger one of the ends, and the ratio of the gains that the ends tolerate.
+    Returns one that tolerates a share of its gain between those of the ends; the ends, between which most of the likely
+    ones are; the gain of its loop [1/s]; the least one of any and the larger one of the ends; and the ratio of the
+    shares. A known gain is that of all.
     Args:
       read: the `Loop`, whose mode it may be. alpha: its gain [1/s] or None; clipped: or more than that of the mode.
     """
@@ -226,16 +233,17 @@ def drives_of(read, mode, Ts, alpha, *, clipped) -> tuple:
     x = 2 / (2 * lag + late + np.sqrt(4 * lag**2 + late**2))
     calm = x * (1 - lag * x) * np.exp(-x * late)
     off = np.zeros(len(lag)) if alpha is None else np.log(gain / alpha)
-    off = np.maximum(off, 0.0) if clipped else off
-    odds = np.exp(-0.5 * np.minimum((off / KNOWN) ** 2, 60.0)) / (1 + (lag / USUAL) ** 2) * np.where(lag > 0, 1.0, 3.0)
+    seldom = 1.0 if clipped else SELDOM  # that the gain is the known one or less
+    odds = np.maximum(np.exp(-0.5 * np.minimum((off / KNOWN) ** 2, 60.0)), seldom * (off < 0))
+    odds = odds / (1 + (lag / USUAL) ** 2) * np.where(lag > 0, 1.0, 3.0)
     odds = odds * np.interp(lag / Ts, *read.lags)
-    odds, order = odds / np.sum(odds), np.argsort(calm)
+    share = np.log(calm / gain if alpha is None else calm / alpha)
+    odds, order = odds / np.sum(odds), np.argsort(share)
     ends = order[np.minimum(np.searchsorted(np.cumsum(odds[order]), [TAIL, 1 - TAIL]), len(order) - 1)]
-    least, largest = np.log(calm[ends])
-    places = [np.argmin(np.abs(np.log(calm) - least - MIDDLE * (largest - least))), *ends]
+    low, high = share[ends]
+    places = [np.argmin(np.abs(share - low - MIDDLE * (high - low))), *ends]
     middle, *both = (Drive(delay=float(np.clip(dead[i] / Ts - 0.5, 0, MOST - 1)), lag=float(lag[i])) for i in places)
-    mean, most, wide = float(odds @ gain), float(np.max(gain[ends])), float(np.exp(largest - least))
-    return middle, tuple(both), mean, most, wide
+    return middle, tuple(both), float(gain[places[0]]), float(gain.min()), float(gain[ends].max()), np.exp(high - low)
 
 
 def turned(y, gain=None) -> tuple | None:

@@ -5,6 +5,7 @@ loops (`regions`). A primitive without a rule raises UnsupportedError, which nam
 """
 
 import math
+import operator
 from typing import Any, NamedTuple
 
 import jax
@@ -29,6 +30,7 @@ _SAME = {"add_any": "add"}
 ELEMENTWISE = NAMES - {"fmod"} | _SAME.keys() | {"clamp", "integer_pow", "one_minus_square", "lt_to", "le_to"}
 _PASSED_ON = frozenset(["optimization_barrier", "real", "pcast", "pvary", "name"])
 _PARAMS = {"integer_pow": "y", "round": "rounding_method"}
+_SIZE = operator.attrgetter("aval.size")
 RULES = ARRAYS | PLACES | MATRICES
 
 
@@ -85,13 +87,15 @@ class Reader:
             raise UnsupportedError(f"`{name}` to numbers of another size has no C form")
         for v in eqn.outvars:
             check_dtype(v.aval.dtype)
-        inputs = [stacks.shallow(self.g, x) if isinstance(x, Deep) else x for x in inputs]
-        if not all(map(is_cells, inputs)) and (found := self._whole(eqn, inputs)) is not None:
-            return found
+        whole = not {*map(type, inputs)} <= {np.ndarray}  # most equations are of cells alone
+        if whole:
+            inputs = [stacks.shallow(self.g, x) if isinstance(x, Deep) else x for x in inputs]
+            if (found := self._whole(eqn, inputs)) is not None:
+                return found
         if name == "broadcast_in_dim" and (found := self._repeated(eqn, *inputs)) is not None:
             return found
-        cells = [self.cells(x) for x in inputs]
-        if sum(v.aval.size for v in eqn.outvars) > LIMIT:
+        cells = list(map(self.cells, inputs)) if whole else inputs
+        if sum(map(_SIZE, eqn.outvars)) > LIMIT:
             raise UnsupportedError(f"`{name}` makes an array of {eqn.outvars[0].aval.size} entries")
         return self._of_cells(name, eqn, cells)
 
@@ -119,7 +123,7 @@ class Reader:
         return list(map(self.constant, made if eqn.primitive.multiple_results else [made]))
 
     def _elementwise(self, eqn, inputs):
-        (out,), params, name = (v.aval for v in eqn.outvars), params_of(eqn), eqn.primitive.name
+        out, params, name = eqn.outvars[0].aval, params_of(eqn), eqn.primitive.name
         name = _SAME.get(name, name)
         flat = [x.flat if x.shape == out.shape else np.broadcast_to(x, out.shape).flat for x in inputs]
         made = [self.g.apply(name, cells, out.dtype, params) for cells in zip(*flat, strict=True)]

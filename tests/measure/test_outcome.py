@@ -114,5 +114,14 @@ def test_every_ending(sizes, singular, swings, code):
 
 def test_a_run_without_an_error_has_no_ending():
     run = ck.solve(ARM_LAW, ck.hold([1.0, 1.0]), REST, 1.0, 40, "EE")
-    found = metrics.measure_run(ck.replace(run, e=0 * run.e), ARM_LAW, ck.hold([1.0, 1.0]), ["ending"])
-    assert np.isnan(found["ending"])
+    names, circle = ["ending", "stable"], ck.circle([1.0, 1.0], 0.1, period=9.0)
+    for path, e in ((ck.hold([1.0, 1.0]), 0 * run.e), (circle, run.e)):  # nor one after a moving target
+        assert np.isnan([*metrics.measure_run(ck.replace(run, e=e), ARM_LAW, path, names).values()]).all()
+
+
+def test_through_a_drive_a_run_that_swings_less_and_less_is_stable():
+    drive, target = ck.Drive(natural_frequency=20.0, damping_ratio=0.05), ck.hold([1.0, 1.0])
+    law = ck.replace(ARM_LAW, alpha=1.7)  # the least stable gain is 2 1/s
+    run = ck.solve(law, target, REST, 0.01, 400, "EE", drive=drive)
+    assert metrics.measure_run(run, law, target, ["stable"], drive=drive)["stable"] == 1
+    assert metrics.measure_run(run, law, target, ["stable"])["stable"] == 0

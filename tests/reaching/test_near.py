@@ -6,6 +6,7 @@ import pytest
 import cnclik as ck
 from cnclik import ReachStatus
 from cnclik.reaching.starts import spans
+from cnclik.reaching.targets import wanted_at
 from tests.oracles import ARMS, robots
 from tests.reaching.test_reach import tips
 
@@ -209,3 +210,18 @@ def test_an_answer_at_a_limit_stays_there_when_near_is_at_the_other():
     made = ck.reach(panda, targets, near=near)
     assert made.solved.sum() > 25
     np.testing.assert_allclose(tips(panda, made.q)[made.solved], targets[made.solved], atol=2e-6)
+
+
+def test_starts_cover_the_limits_and_one_turn_of_a_wide_joint():
+    """Of a joint that may turn further: the turn about 0 where the limits have it, else the nearest one."""
+    limits = np.array([(-1, 2), (-20, 20), (1, 9), (-12, -2), (-np.inf, 1), (5, np.inf), (-np.inf, np.inf)])
+    arm = ck.planar_arm([0.3] * len(limits))
+    low, high = spans(ck.replace(arm, lower=limits[:, 0], upper=limits[:, 1]))
+    pi = np.pi
+    np.testing.assert_allclose(low, [-1, -pi, 1, -2 - 2 * pi, 1 - 2 * pi, 5, -pi])
+    np.testing.assert_allclose(high, [2, pi, 1 + 2 * pi, -2, 1, 5 + 2 * pi, pi])
+
+
+def test_where_a_path_is_has_its_coordinates_in_the_order_of_space():
+    task = (ck.position("z") & ck.position("xy")).on(ck.panda())
+    assert wanted_at(ck.hold([0.3, 0.1, 0.2]), task, 0.0)[1][0].tolist() == [0.3, 0.1, 0.2]

@@ -1,5 +1,7 @@
 """How runs ended, in a sentence: loops whose ending is known, and whether the remedy mends them."""
 
+import re
+
 import jax
 import numpy as np
 import pytest
@@ -110,7 +112,11 @@ def test_a_path_out_of_reach():
     """Two links of 1 m after a circle of 0.2 m about a point 3 m away: 0.8 to 1.2 m are missing."""
     law = ck.Law(ck.planar_arm([1.0, 1.0]), XY, alpha=5.0, inverse=ck.damped(0.1), error_clamp=(0.1, 0.1))
     said = judge(law, ck.circle([3.0, 0.0], 0.2, period=2.0), np.array([0.3, 0.5]), 0.02, 200)
-    assert said.kind == "held back" and "out of reach: the nearest posture found is 1.2 m away" in said.sentence, said
+    assert said.kind == "held back" and re.search(r"of reach at t = \S+ s: .* is 8\d\d mm away", said.sentence), said
+    assert f"the error is at most {said.error:.3g} m" in said.sentence
+    law = ck.replace(law, error_clamp=None)  # where it ends it can be reached, at t = 4 s 0.7 m are missing
+    said = judge(law, ck.circle([1.5, 0.0], 1.2, period=2.0), np.array([0.3, 0.5]), 0.02, 225)
+    assert said.kind == "held back" and re.search(r"out of reach at t = (3.9|4|4.0)\d* s", said.sentence), said
 
 
 def test_each_task_of_a_stack_has_its_line():
@@ -119,6 +125,8 @@ def test_each_task_of_a_stack_has_its_line():
     law = ck.Law(PANDA, tasks, alpha={"hand": 5.0, "rest": 1.0}, inverse=levels)
     said = judge(law, ck.hold_at(PANDA, tasks, QP, hand=ck.hold(P0 + np.array([0.1, 0, 0]))), QP, 0.01, 600)
     assert said.kind == Behaviour.SETTLED and "(settled)" in said.tasks["hand"], said  # a posture yields: no error
+    short = judge(law, ck.hold_at(PANDA, tasks, QP), QP + 0.05, 0.01, 300)  # the hand's error falls as exp(-15)
+    assert "(settled)" in short.tasks["hand"] and "(still falls)" in short.tasks["rest"], short
     law = ck.Law(PANDA, tasks, alpha=5.0, inverse=ck.damped(0.1))
     said = judge(law, ck.hold_at(PANDA, tasks, QP, hand=ck.hold(P0 + np.array([0.1, 0, 0]))), QP, 0.01, 600)
     assert said.kind == Behaviour.HELD_BACK and "contradict" in str(said) and "(stays)" in said.tasks["hand"], said
