@@ -14,7 +14,7 @@ from tests.reaching.test_reach import WRIST, drawn, tips
 FIELDS = "q", "status", "position_error", "orientation_error", "at_limit"
 
 
-def hard_and_easy(count=60):
+def hard_and_easy(count=120):
     """Targets of a wrist with narrow limits, of which some are beyond the limits, some beyond the arm, one is NaN."""
     held = ck.replace(WRIST, lower=(-1.5,) * 6, upper=(1.5,) * 6)
     targets = tips(WRIST, drawn(WRIST, count, seed=4))
@@ -38,7 +38,7 @@ def test_an_answer_is_the_targets_own(monkeypatch):
     assert_alike(ck.reach(held, targets[order]), whole, order)
     for k in (0, 1, 5, 6, 7):
         assert_alike(ck.reach(held, targets[k : k + 1]), whole, [k])
-    monkeypatch.setattr(public, "POOL", 25)
+    monkeypatch.setattr(public, "POOL", 50)
     monkeypatch.setattr(search, "MANY", 8)
     monkeypatch.setattr(search, "AT_ONCE", 64)
     assert_alike(ck.reach(held, targets), whole)
@@ -47,7 +47,7 @@ def test_an_answer_is_the_targets_own(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("near", [False, True])
 def test_the_statuses_of_xla_and_of_a_trace_are_those_of_c(near):
-    held, targets = hard_and_easy()
+    held, targets = hard_and_easy(60)
     given = {"near": drawn(held, 60, seed=6)} if near else {}
     whole, other = ck.reach(held, targets, **given), ck.replace(held)
     with ck.use_engine("xla"):
