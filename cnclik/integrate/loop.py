@@ -211,8 +211,12 @@ class Step:
     Attributes:
       q: (n,) joint values after the step [rad, m].
       x, e: (m,) task coordinates and error before it [m, rad].
+      qdot: (n,) constant joint velocity during it [rad/s, m/s].
+      residual, contraction: last change of the implicit stage, as a joint displacement, and its ratio to that before.
       least: least singular value of the task Jacobian before it, an estimate from below; in a stack the least of its
         tasks.
+      status: bits of `Status`.
+      walls: (k,) margin of the approach velocity at each wall, see `Trajectory`; None without walls.
     """
 
     q: Float[Array, " n"]

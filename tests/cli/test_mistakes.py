@@ -73,6 +73,7 @@ MISTAKES = [
     ("reach planar:1,1 --random 3 --out x.txt", "`--out` must end with .csv"),
     ("stability --draw chart", "Option `--draw` must be some of gains, plane, map, but is 'chart'."),
     ("stability --N 3 --draw map", "Option `--N` must be at least 4, but is 3."),
+    ("stability --task xy", "Option `--task` must come with ROBOT or --draw map, but comes without."),
     ("sweep study.toml --distributed here", "must be auto or HOST:PORT:PROCESSES:PROCESS, but is 'here'"),
     ("sweep study.toml", "'alpa' (did you mean 'alpha'?)."),
     ("export panda", "Option `--out` must be given, but is not."),
