@@ -68,7 +68,6 @@ MISTAKES = [
     ("reach panda t.csv --random 3", "are TARGETS and --random"),
     ("reach panda --task position --target 0.3 0.1", "`--target` must hold 3 numbers, x y z [m], but holds 2"),
     ("reach planar:1,1 text.txt", "`TARGETS` must end with .csv, but is 'text.txt'"),
-    ("reach planar:1,1 --random 0", "`--random` must be at least 1"),
     ("reach planar:1,1 --random 3 --path --near 0 0", "`--near` must be left out"),
     ("reach planar:1,1 --random 3 --out x.txt", "`--out` must end with .csv"),
     ("stability --draw chart", "Option `--draw` must be some of gains, plane, map, but is 'chart'."),

@@ -63,10 +63,10 @@ def test_different_drives_and_different_gains_have_no_limit():
 
 @pytest.mark.parametrize("method", ["CN", "EXP-MIDPOINT"])
 def test_with_an_exact_inverse_the_radius_is_that_of_the_method(method):
-    law = ck.Law(PANDA, ck.pose(), alpha=40.0)
+    law = ck.Law(PLANAR, ck.position("xy"), alpha=40.0)
     for Ts in (0.01, 0.045):
         expected = abs(amplification(method, 40.0 * Ts, 5))
-        assert spectral_radius(law, None, Q, Ts, method, ck.picard(5)) == pytest.approx(expected, abs=1e-9)
+        assert spectral_radius(law, None, QP, Ts, method, ck.picard(5)) == pytest.approx(expected, abs=1e-9)
 
 
 LAWS = {
