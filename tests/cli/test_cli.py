@@ -133,12 +133,6 @@ print(bool(jnp.allclose(first, end(1.0), rtol=1e-5)))
     assert run(code) == "True"
 
 
-def test_a_built_in_robot_is_shown(capsys):
-    main(["robots", "panda"])
-    said = capsys.readouterr().out
-    assert said.startswith("panda, built in, tip flange\n") and said.count(" rad, up to ") == 7
-
-
 def test_lines_without_a_terminal(capsys, monkeypatch):
     now = [0.0]
     monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])

@@ -202,14 +202,14 @@ def test_places_in_sorted_numbers_have_nan_last():
 @pytest.mark.parametrize("dtype", REALS)
 def test_matrices(dtype):
     rng = np.random.default_rng(0)
-    a, b = rng.normal(size=(SIZE, 4, 4)).astype(dtype), rng.normal(size=(SIZE, 4, 2)).astype(dtype)
+    a, b = rng.normal(size=(SIZE, 3, 3)).astype(dtype), rng.normal(size=(SIZE, 3, 2)).astype(dtype)
     singular = a.copy()
     singular[0] = 0
 
     def fn(singular, a, b):
         others = jnp.linalg.solve(a, b), jnp.linalg.det(a), jnp.linalg.inv(a)
         a = singular
-        spd = a @ a.T + 0.1 * jnp.eye(4, dtype=a.dtype)
+        spd = a @ a.T + 0.1 * jnp.eye(3, dtype=a.dtype)
         lower = jnp.linalg.cholesky(spd)
         solved = [jax.scipy.linalg.solve_triangular(lower, b, lower=True, trans=t) for t in (0, 1)]
         return lower, jax.scipy.linalg.cho_solve((lower, True), b), solved, jnp.linalg.cholesky(a)[1, 0], others

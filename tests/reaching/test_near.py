@@ -10,8 +10,6 @@ from cnclik.reaching.targets import wanted_at
 from tests.oracles import ARMS, robots
 from tests.reaching.test_reach import tips
 
-SIZES = (1e-4, 1e4)
-
 
 def ends(chain):
     """The limits (n,), and where a joint has none, those of a turn."""
@@ -61,7 +59,7 @@ def wrong(chain, count):
 
 @pytest.mark.parametrize("robot", [ck.ur5, ck.panda])
 def test_near_is_where_the_search_begins_and_not_where_it_ends(robot):
-    assert wrong(robot(), 300) == {}
+    assert wrong(robot(), 150) == {}
 
 
 @pytest.mark.slow
@@ -87,9 +85,9 @@ def sized(size):
     return ck.from_dh(lengths[0].tolist(), twist, lengths[1].tolist(), lower=[-3.0] * 6, upper=[3.0] * 6)
 
 
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", [1e-4, 1e4])
 def test_arms_of_any_size(size):
-    assert wrong(sized(size), 150) == {}
+    assert wrong(sized(size), 100) == {}
 
 
 def cornered(kind):
@@ -115,11 +113,11 @@ def at_limits(chain, count):
 def test_an_answer_with_several_joints_at_their_limits_is_found(kind):
     """It has hardly any posture about it from which a search within the limits arrives."""
     chain = cornered(kind)
-    q = at_limits(chain, 1000)
+    q = at_limits(chain, 500)
 
     def right(made):
         known = np.isin(made.status, [ReachStatus.SOLVED, ReachStatus.OUT_OF_BUDGET])
-        return known.all() and np.sum(~made.solved) <= 1 + len(q) // 1000
+        return known.all() and np.sum(~made.solved) <= 1
 
     rng, low, high = np.random.default_rng(2), np.array(chain.lower), np.array(chain.upper)
     asked = [{}, {"near": rng.uniform(low, high, q.shape)}, {"near": high}]
@@ -165,7 +163,7 @@ def bordering(size, count):
     return arm, where, away - outer, inner - away
 
 
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", [1e-4, 1e4])
 def test_on_the_border_only_what_is_known_is_said(size):
     """By the law of cosines. Searches end there at errors of a billionth of the arm's length: those are near misses."""
     arm, where, beyond, inside = bordering(size, 40)

@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 import cnclik as ck
 from cnclik.robot.model import modelled
@@ -11,6 +10,7 @@ from cnclik.task.parts import At
 from tests import bank
 from tests.oracles import close
 from tests.reaching.test_reach import drawn
+from tests.refusals import refusals
 from tests.robot.test_trees import BAXTER, GRIPPERS
 from tests.robot.test_urdf import Pinocchio, oracle
 
@@ -161,26 +161,20 @@ def ask(targets, task=TASK, **options):
     return lambda: ck.reach(TWO, targets, task=task, **options)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (ask(EYE), "`targets` must be a dict with left and right, but is ndarray"),
-        (ask({"left": EYE, "rigth": EYE}), "`targets` must be a dict with left and right, but is left, rigth"),
-        (ask({"left": EYE, "right": np.zeros(3)}), r"`targets\['right'\]` must hold 7 numbers, .* but holds 3"),
-        (ask({LEFT: EYE}, HANDS), f"`targets` must be a dict with {LEFT} and {RIGHT}, but is {LEFT}"),
-        (ask(EYE, "pose"), "`tip` must be given for a robot with several"),
-        (ask(EYE, ck.pose(tip="nose")), "`tip` must be one of left_gripper, right_gripper"),
-        (ask(EYE, ck.pose(tip=LEFT) & ck.joints()), "`task` must be of positions and orientations of tips, but has"),
-        (
-            ask(EYE, ck.position(tip=LEFT) & ck.pose(tip=RIGHT) & ck.orientation(tip=LEFT)),
-            "in one place, but has rx, ry",
-        ),
-        (
-            ask(EYE, ck.position(tip=LEFT) & ck.position("x", tip=LEFT)),
-            "have each axis of a tip once, in one place, but has x, y, z, x",
-        ),
-    ],
+test_what_is_refused = refusals(
+    (ask(EYE), "`targets` must be a dict with left and right, but is ndarray"),
+    (ask({"left": EYE, "rigth": EYE}), "`targets` must be a dict with left and right, but is left, rigth"),
+    (ask({"left": EYE, "right": np.zeros(3)}), r"`targets\['right'\]` must hold 7 numbers, .* but holds 3"),
+    (ask({LEFT: EYE}, HANDS), f"`targets` must be a dict with {LEFT} and {RIGHT}, but is {LEFT}"),
+    (ask(EYE, "pose"), "`tip` must be given for a robot with several"),
+    (ask(EYE, ck.pose(tip="nose")), "`tip` must be one of left_gripper, right_gripper"),
+    (ask(EYE, ck.pose(tip=LEFT) & ck.joints()), "`task` must be of positions and orientations of tips, but has"),
+    (
+        ask(EYE, ck.position(tip=LEFT) & ck.pose(tip=RIGHT) & ck.orientation(tip=LEFT)),
+        "in one place, but has rx, ry",
+    ),
+    (
+        ask(EYE, ck.position(tip=LEFT) & ck.position("x", tip=LEFT)),
+        "have each axis of a tip once, in one place, but has x, y, z, x",
+    ),
 )
-def test_what_is_refused(call, message):
-    with pytest.raises(ck.ArgumentError, match=message):
-        call()
