@@ -29,7 +29,7 @@ from .law.paths import (
     lissajous as lissajous, path as path, waypoints as waypoints,
 )
 from .law.reference import hold_at as hold_at, references as references
-from .law.walls import support_polygon as support_polygon, wall as wall
+from .law.walls import wall as wall
 from .problem.names import load as load
 from .reaching.public import reach as reach
 from .reaching.result import ReachStatus as ReachStatus

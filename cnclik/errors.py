@@ -131,7 +131,7 @@ def kind(name: str, value, of, must: str | None = None):
     return value
 
 
-def array(name: str, value, *shapes, finite=True, most=None, of="numbers") -> "Array":
+def array(name: str, value, *shapes, finite=True, positive=False, at_least=None, most=None, of="numbers") -> "Array":
     """A real array of one of the shapes (None matches any length); returned as an array of float32 or float64.
 
     Args: most: what no entry is beyond, of either sign. of: what the entries are, such as "joint values".
@@ -162,6 +162,10 @@ def array(name: str, value, *shapes, finite=True, most=None, of="numbers") -> "A
             raise fail(name, "be finite", f"is {known[where]}" + f" at index {where}" * (known.ndim > 0))
         if most is not None and (np.abs(known) > most).any():
             raise fail(name, f"be within ±{most:g}", f"reaches {np.abs(known).max():g}")
+        if positive and (known <= 0).any():
+            raise fail(name, "be positive", f"is {known.min():g}")
+        if at_least is not None and (known < at_least).any():
+            raise fail(name, f"be at least {at_least:g}", f"is {known.min():g}")
     return found
 
 

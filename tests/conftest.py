@@ -36,8 +36,8 @@ jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
 MOST_MEMORY = 3 << 29
 LONGEST = [
-    *("combinations", "docs", "several", "near", "native", "reach", "primitives", "programs", "spec", "tune", "gains"),
-    *("step", "store", "search", "cli", "ending", "cli_solve", "files", "bases", "inverse", "loops", "gradients"),
+    *("combinations", "docs", "several", "near", "native", "reach", "programs", "primitives", "tune", "gradients"),
+    *("bounded", "step", "ending", "cli_solve", "walls", "inverse", "files", "store", "gains", "cli", "bank", "bases"),
 ]
 
 

@@ -71,15 +71,6 @@ def test_the_name_that_was_meant(written, names, meant):
     assert errors.nearest(written, names) == (f" (did you mean {meant!r}?)" if meant else "")
 
 
-def test_a_long_list_gives_way_to_a_name_that_is_near():
-    names = [f"--option-{k}" for k in range(60)]
-    with pytest.raises(errors.ArgumentError) as said:
-        errors.one_of("Option", "--optoin-7", names)
-    assert str(said.value).endswith("be one of 60 names, but is '--optoin-7' (did you mean '--option-7'?).")
-    with pytest.raises(errors.ArgumentError, match="--option-0, --option-1"):
-        errors.one_of("Option", "x", names)
-
-
 def test_numbers_of_numpy_are_written_as_numbers_and_a_text_as_it_is():
     for found, said in (([np.float64(0.1), np.int32(3)], "[0.1, 3]"), ("np.float64(1.5) mm", "'np.float64(1.5) mm'")):
         assert str(errors.fail("alpha", "be a list", f"is {found!r}")).endswith(f"is {said}.")

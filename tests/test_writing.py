@@ -150,15 +150,6 @@ def test_what_is_no_file_is_told_in_one_line(tmp_path):
         assert str(error.value).startswith("Argument `path` must name a URDF file") and "\n" not in str(error.value)
 
 
-def test_what_is_too_large_is_not_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(reading, "MOST_BYTES", 1 << 20)
-    (tmp_path / "small").write_text("text")
-    assert reading.read_bytes("path", bytes(tmp_path / "small"), "a URDF file") == b"text"  # a name as bytes
-    (tmp_path / "large").write_bytes(b"0" * ((1 << 20) + 1))
-    with pytest.raises(ck.ArgumentError, match="of at most 1 MiB, but 'large' is larger"):
-        reading.read_bytes("path", tmp_path / "large", "a URDF file")
-
-
 def test_csv_fields_and_bytes_that_are_no_text(tmp_path):
     (tmp_path / "long.csv").write_text("0," + "1" * 200_000 + "\n")
     (tmp_path / "latin.csv").write_bytes(b"0,\xff\n")

@@ -40,7 +40,7 @@ def run(
     elif tip is not None:
         raise errors.fail("tip", "come with ROBOT", "comes without")
     limits = limits or (robot if robot in PUBLISHED else None)
-    if limits is not None and not Path(limits).suffix:
+    if limits is not None and Path(limits).suffix.lower() != ".csv":  # a robot's file comes after LOG
         errors.one_of("limits", limits, (*PUBLISHED, "FILE.csv"))
     table = _table(Path(limits)) if limits is not None and limits not in PUBLISHED else limits
     places, sent = recorded.moved(), [] if recorded.chosen else recorded.pairs()[0]

@@ -55,6 +55,9 @@ def run(
     if draw:
         errors.integer("N", given.get("N", 100), at_least=4, at_most=errors.MOST)
         load_ahead("cnclik.show.style")
+    alone = [name for name in given if name not in (*DRIVE, "Ts", "method", "M", "alpha")]
+    if robot is None and alone and "map" not in draw:
+        raise errors.fail(alone[0], "come with ROBOT or --draw map", "comes without")
     if robot is None:
         drive, known = {name: value for name, value in given.items() if name in DRIVE}, DEFAULTS | given
         how = {name: known[name] for name in ("Ts", "method", "M")}
@@ -119,7 +122,7 @@ def _of_robot(found, made, speed, of_file) -> dict:
 
     law, facts = made.law, {"name": made.name}
     limit = np.asarray(law.chain.velocity_limit, float)
-    if law.task.lengths and np.isfinite(limit).any():
+    if law.task.lengths and not law.task.tasks and np.isfinite(limit).any():  # a stack has several tips
         inverse = np.linalg.pinv(law.task.rows_at(modelled(law.chain), np.asarray(made.q0, float)))
         share = np.linalg.norm(inverse[:, list(law.task.lengths)], axis=1) * speed / limit
         facts |= {"joint": law.chain.joint_names[int(np.argmax(share))], "share_of_its_velocity_limit": share.max()}
@@ -181,7 +184,8 @@ def _in_words(response, Ts) -> str:
     settles = f"settles in {response.settling_time:.3g} s"
     settles = settles if response.settling_time < math.inf else "does not settle to within 2 % in the simulated time"
     late = f"{in_samples(response.delay_margin / Ts, Ts)} more" if response.delay_margin < math.inf else "any"
-    return f"{over} and {settles}; it tolerates {response.gain_margin:.3g} times this gain, or {late} dead time"
+    more = f"{response.gain_margin:.3g} times this" if response.gain_margin < math.inf else "any"
+    return f"{over} and {settles}; it tolerates {more} gain, or {late} dead time"
 
 
 def _costs(found, response, speed) -> None:
@@ -252,7 +256,8 @@ def _map(found, given, made):
     endings, names = data.ending.values, data.ending.attrs["flag_meanings"].split()
     print(f"{endings.size:,} loops:", ", ".join(f"{name} {np.sum(endings == i)}" for i, name in enumerate(names)))
     title = f"{made.name}, {describe(made.method, found.M)}, N = {N}\n"
-    return data, {"title": title + textwrap.fill(drive_in_words(drive, made.Ts), 60), "operating": (rate, made.Ts)}
+    drives = drive_in_words(drive, made.Ts) + f" at Ts = {1e3 * made.Ts:.4g} ms" * bool(drive.delay)  # in samples
+    return data, {"title": title + textwrap.fill(drives, 60), "operating": (rate, made.Ts)}
 
 
 _FIGURES = {"plane": _plane, "gains": _gains, "map": _map}

@@ -8,12 +8,13 @@ one scalar at N instants, such as what a scan stacks.
 
 import math
 import operator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cnclik.engine.algebra import COMMUTES, COMPARISONS, SIMPLER, folded
 
-IS_KNOWN, NUMBER, SHAPE, VALUE = map(operator.attrgetter, ("known", "number", "shape", "value"))
+IS_EXACT, IS_KNOWN, NUMBER, SHAPE, VALUE = map(operator.attrgetter, ("exact", "known", "number", "shape", "value"))
 
 
 class UnsupportedError(Exception):
@@ -34,13 +35,9 @@ class Node:
     __slots__ = (
         *("args", "block", "dtype", "exact", "known", "nothing", "number", "op", "params", "shape", "value", "zero"),
     )
+    if TYPE_CHECKING:  # `Graph.new` sets them
 
-    def __init__(self, op, args, params, shape, dtype, value, block, number, exact):
-        self.op, self.args, self.params, self.shape, self.dtype = op, args, params, shape, np.dtype(dtype)
-        self.value, self.block, self.number, self.exact = value, block, number, exact
-        self.known = op == "const"
-        self.zero = self.known and bool(value == 0)
-        self.nothing = exact and self.zero
+        def __getattr__(self, name: str) -> Any: ...
 
 
 class Block:
@@ -135,7 +132,13 @@ class Graph:
         self.count += 1
         if self.count > self.most:
             raise SlowError(f"a program of more than {self.most} operations takes long to build")
-        return Node(op, args, params, shape, dtype, value, block, self.count, exact)
+        node: Any = Node()  # there are many thousands: a constructor would be a call more
+        node.op, node.args, node.params, node.shape, node.dtype = op, args, params, shape, np.dtype(dtype)
+        node.value, node.block, node.number, node.exact = value, block, self.count, exact
+        node.known = op == "const"
+        node.zero = node.known and bool(value == 0)
+        node.nothing = exact and node.zero
+        return node
 
     def const(self, value, dtype, *, exact=False) -> Node:
         dtype = np.dtype(dtype)
@@ -179,7 +182,7 @@ class Graph:
             return found
         if all(map(IS_KNOWN, args)) and (value := folded(name, list(map(VALUE, args)), dtype, params)) is not None:
             nothing = name == "mul" and value == 0 and any(a.exact and a.value == 0 for a in args)
-            return self.const(value, dtype, exact=nothing or all(a.exact for a in args))
+            return self.const(value, dtype, exact=nothing or all(map(IS_EXACT, args)))
         shape = max(map(SHAPE, args), key=len)
         if name in COMMUTES and args[0].number > args[1].number:
             args = args[::-1]

@@ -1,6 +1,7 @@
 """Operations: the C form of each elementwise operation, on vectors of lanes, and its cost."""
 
 import functools
+import itertools
 import math
 import pathlib
 
@@ -17,6 +18,9 @@ TYPES = {  # NumPy dtype: C types of (a vector of lanes, a number)
 }
 vector = {np.dtype(name): of for name, (of, _) in TYPES.items()}.__getitem__  # C type of a vector of lanes
 scalar = {np.dtype(name): one for name, (_, one) in TYPES.items()}.__getitem__  # of a number in arguments and results
+
+
+DTYPES = frozenset(map(np.dtype, TYPES))
 
 
 def check_dtype(dtype) -> None:
@@ -62,11 +66,6 @@ def number(value, dtype) -> str:
     return str(np.float32(value)) + "f" if dtype.itemsize == 4 else repr(float(value))
 
 
-def is_operation(node) -> bool:
-    """Whether a node is an elementwise operation on its arguments."""
-    return node.op in NAMES
-
-
 def text(node, of) -> str:
     """An operation in C. `of(argument, plain)` returns an argument's text; plain: a constant as a number."""
     name, args = node.op, node.args
@@ -78,7 +77,7 @@ def text(node, of) -> str:
     if kind == "b" and name in _TRUTH:
         return _TRUTH[name].format(*[of(a, False) for a in args])
     plain = kind == "f" and (name in BINARY or name in COMPARED) and not all(map(IS_KNOWN, args))
-    a = [of(x, plain) for x in args]
+    a = list(map(of, args, itertools.repeat(plain)))
     if kind == "f" and name in BINARY:
         return f" {BINARY[name]} ".join(a)
     if name in COMPARED:
@@ -141,7 +140,7 @@ _SIMPLE = {
     **{"is_finite": "MASK(({0} - {0}) == ({0} - {0}))"},
     "logistic": "1 / (1 + exp_{T}(-{0}))",
 }
-NAMES = frozenset([
+NAMES = frozenset([  # of all elementwise operations
     *BINARY, *COMPARED, *BITS, *_SIMPLE, *LIBRARY, "abs", "sqrt", "sin", "cos", "atan2", "max", "min",
     "sign", "rem", "bitcast_convert_type", "convert_element_type", "select_n", "shift_left", "shift_right_arithmetic",
     "shift_right_logical",

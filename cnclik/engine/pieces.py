@@ -5,7 +5,7 @@ registers or on the stack up to the piece's end. A place is reused once its valu
 """
 
 from cnclik.engine.graph import Node
-from cnclik.engine.operations import is_operation
+from cnclik.engine.operations import NAMES
 from cnclik.engine.row_texts import all_items
 
 _ARGUMENTS = "(const void *const *in, const int64_t *stride, int64_t first, int64_t n, char *restrict work)"
@@ -31,6 +31,7 @@ def in_pieces(writer, items, ending):
             begin[home.get(n.number, -1)].append(n)
             end[last[n.number]].append(n)
     unused: dict = {}  # free places, by type
+    writes = writer.by_kind
     for n in begin[-1]:  # already computed
         _keep(writer, n, unused)
     for k, group in enumerate(groups):
@@ -39,7 +40,7 @@ def in_pieces(writer, items, ending):
             writer.scopes.append([])
         leaving = {n.number for n in begin[k]}
         for item in group:
-            writer.item(item)
+            writes[type(item)](item)
             for n in [item] if isinstance(item, Node) else item.outs:
                 if n.number in leaving:
                     _keep(writer, n, unused)
@@ -65,7 +66,7 @@ def _is_plain(item) -> bool:
     """Whether an item may be part of a piece: it reads only scalars and arguments."""
     if not isinstance(item, Node) or item.shape:
         return False
-    return is_operation(item) or item.op == "pick" or (item.op == "index" and item.args[0].op == "input")
+    return item.op in NAMES or item.op == "pick" or (item.op == "index" and item.args[0].op == "input")
 
 
 def _groups(items, most):

@@ -52,10 +52,7 @@ class Program:
 
         Args: leaves: arrays (size, ...), or (...) for what all lanes share.
         """
-        if cores == 1 or size <= FEW_TILES * self.lanes:
-            return Bound(self, ())(leaves, size)
-        with side_by_side(cores) as pool:
-            return Bound(self, ())(leaves, size, pool, cores)
+        return Bound(self, ())(leaves, size, cores)
 
 
 class Bound:
@@ -67,8 +64,8 @@ class Bound:
         self.given = [(a.dtype, len(a.shape), a.size) for a in avals[len(kept) :]]
         self.places, self.zeros = [x.ctypes.data for x in self.kept], [0] * len(kept)
 
-    def __call__(self, leaves, size, pool=None, cores=1) -> list:
-        """Return the results of a batch, as `Program` does, on the threads of a pool. Args: leaves: the others."""
+    def __call__(self, leaves, size, cores=1) -> list:
+        """Return the results of a batch, as `Program` does. Args: leaves: the other arguments."""
         program, given = self.program, self.given
         made = [_empty((size, *s.shape), s.dtype) for s in program.shapes]
         leaves = [np.asarray(x, dtype, order="C") for x, (dtype, _, _) in zip(leaves, given, strict=True)]
@@ -84,12 +81,13 @@ class Bound:
             memory = np.empty(program.work, np.uint8)
             program.library.run(start, end, *places, memory.ctypes.data)
 
-        if pool is None:
+        if cores == 1 or size <= FEW_TILES * program.lanes:
             part(0, size)
             return made
         step = -(-size // (CALLS * cores * program.lanes)) * program.lanes
-        for _ in pool.map(lambda start: part(start, min(start + step, size)), range(0, size, step)):
-            pass
+        with side_by_side(cores) as pool:
+            for _ in pool.map(lambda start: part(start, min(start + step, size)), range(0, size, step)):
+                pass
         return made
 
 

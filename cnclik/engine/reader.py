@@ -5,6 +5,7 @@ loops (`regions`). A primitive without a rule raises UnsupportedError, which nam
 """
 
 import math
+import operator
 from typing import Any, NamedTuple
 
 import jax
@@ -13,10 +14,10 @@ from jax.interpreters import partial_eval
 
 from cnclik.engine import over_rows, stacks
 from cnclik.engine.arrays import ARRAYS, REDUCTIONS, RUNNING
-from cnclik.engine.cells import CALLS, MOVES, array_of, called, moved
+from cnclik.engine.cells import CALLS, MOVES, array_of, called
 from cnclik.engine.graph import Graph, Node, UnsupportedError
 from cnclik.engine.matrices import MATRICES
-from cnclik.engine.operations import NAMES, check_dtype
+from cnclik.engine.operations import DTYPES, NAMES, check_dtype
 from cnclik.engine.places import PLACES, out_of_whole
 from cnclik.engine.regions import REGIONS
 from cnclik.engine.stacks import Deep, Rows, is_cells
@@ -29,6 +30,7 @@ _SAME = {"add_any": "add"}
 ELEMENTWISE = NAMES - {"fmod"} | _SAME.keys() | {"clamp", "integer_pow", "one_minus_square", "lt_to", "le_to"}
 _PASSED_ON = frozenset(["optimization_barrier", "real", "pcast", "pvary", "name"])
 _PARAMS = {"integer_pow": "y", "round": "rounding_method"}
+_DTYPE, _SIZE = map(operator.attrgetter, ("aval.dtype", "aval.size"))
 RULES = ARRAYS | PLACES | MATRICES
 
 
@@ -83,15 +85,17 @@ class Reader:
             return list(inputs)
         if name == "bitcast_convert_type" and eqn.invars[0].aval.shape != eqn.outvars[0].aval.shape:
             raise UnsupportedError(f"`{name}` to numbers of another size has no C form")
-        for v in eqn.outvars:
-            check_dtype(v.aval.dtype)
-        inputs = [stacks.shallow(self.g, x) if isinstance(x, Deep) else x for x in inputs]
-        if not all(map(is_cells, inputs)) and (found := self._whole(eqn, inputs)) is not None:
-            return found
+        if not DTYPES.issuperset(dtypes := list(map(_DTYPE, eqn.outvars))):
+            any(map(check_dtype, dtypes))
+        whole = not {*map(type, inputs)} <= {np.ndarray}  # most equations are of cells alone
+        if whole:
+            inputs = [stacks.shallow(self.g, x) if isinstance(x, Deep) else x for x in inputs]
+            if (found := self._whole(eqn, inputs)) is not None:
+                return found
         if name == "broadcast_in_dim" and (found := self._repeated(eqn, *inputs)) is not None:
             return found
-        cells = [self.cells(x) for x in inputs]
-        if sum(v.aval.size for v in eqn.outvars) > LIMIT:
+        cells = list(map(self.cells, inputs)) if whole else inputs
+        if sum(map(_SIZE, eqn.outvars)) > LIMIT:
             raise UnsupportedError(f"`{name}` makes an array of {eqn.outvars[0].aval.size} entries")
         return self._of_cells(name, eqn, cells)
 
@@ -102,8 +106,8 @@ class Reader:
         return array_of([self.g.const(c.value, c.dtype, exact=True) if c.known else c for c in x.flat], x.shape)
 
     def _of_cells(self, name, eqn, cells):
-        if (found := moved(eqn, cells)) is not None:
-            return found
+        if name in MOVES:
+            return [MOVES[name](*cells, **eqn.params)]
         if name in ELEMENTWISE:
             return [self._elementwise(eqn, cells)]
         if name in RULES:
@@ -119,7 +123,7 @@ class Reader:
         return list(map(self.constant, made if eqn.primitive.multiple_results else [made]))
 
     def _elementwise(self, eqn, inputs):
-        (out,), params, name = (v.aval for v in eqn.outvars), params_of(eqn), eqn.primitive.name
+        out, params, name = eqn.outvars[0].aval, params_of(eqn), eqn.primitive.name
         name = _SAME.get(name, name)
         flat = [x.flat if x.shape == out.shape else np.broadcast_to(x, out.shape).flat for x in inputs]
         made = [self.g.apply(name, cells, out.dtype, params) for cells in zip(*flat, strict=True)]

@@ -7,7 +7,7 @@ it costs its operations, starting from stored scalars (Griewank & Walther 2008, 
 import numpy as np
 
 from cnclik.engine.graph import Scan
-from cnclik.engine.operations import COST, is_operation
+from cnclik.engine.operations import COST, NAMES
 from cnclik.engine.stacks import row_node, stacked_node
 
 STORE = (8, 16, 32)  # cost of storing a scalar, in operations; raised until a tile's store fits MANY_BYTES
@@ -39,7 +39,7 @@ def _free(n, one):
 
 
 def _is_base(n, one):
-    return n.block is not one.block or not is_operation(n)
+    return n.block is not one.block or n.op not in NAMES
 
 
 def _again(g, r, one, wanted, kept):

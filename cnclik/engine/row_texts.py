@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 
-from cnclik.engine.graph import Node, Scan, UnsupportedError
-from cnclik.engine.operations import is_operation, number, scalar
+from cnclik.engine.graph import SHAPE, Node, Scan, UnsupportedError
+from cnclik.engine.operations import NAMES, number, scalar
 from cnclik.engine.stacks import Rows
 
 _PLACED = ("stacked", "array")  # rows with random access
@@ -29,13 +29,13 @@ def needed_rows(graph, needed, others) -> set:
         if isinstance(item, Scan) and item.number in needed:
             read += [x for x, row in zip(item.xs, item.rows, strict=True) if x.shape and row.number in needed]
         elif isinstance(item, Node) and item.number in needed and not item.shape:
-            read += [a for a in item.args if a.shape]
+            read += filter(SHAPE, item.args)
     found, queue = set(), read
     while queue:
         n = queue.pop()
         if n.number not in found:
             found.add(n.number)
-            queue += [a for a in n.args if a.shape]
+            queue += filter(SHAPE, n.args)
             if n.op == "stacked" and len(n.shape) == 2:
                 queue.append(n.value[0].ys[n.value[2]])
     return found
@@ -60,7 +60,7 @@ def places_needed(graph, needed) -> set:
         if isinstance(item, Node) and item.number in needed:
             if item.op in ("slid", "joined"):
                 for a in item.args:
-                    if item.op == "joined" or is_operation(a):
+                    if item.op == "joined" or a.op in NAMES:
                         placed(a)
             elif item.op == "take" and not in_argument(item.args[0]):
                 placed(item.args[0])
@@ -108,7 +108,7 @@ class RowTexts:
     def listed(self, cells, kind="const") -> str:
         """The name of an array of cells, written once for all that pick from it."""
         words = ", ".join(map(self.of, cells))
-        key = "listed", self.type(cells[0]), words
+        key = "listed", self.type_of(cells[0].dtype), words
         if key not in self.names:
             self.names[key] = self.new("l")
             self.scopes[-1].append(key)
@@ -132,7 +132,7 @@ class RowTexts:
         queue = [c] if c.shape else []
         while queue:
             n = queue[-1]
-            computed = is_operation(n) and n.number not in self.where and n.number not in memo
+            computed = n.op in NAMES and n.number not in self.where and n.number not in memo
             if missing := [a for a in n.args if computed and a.shape and a.number not in memo]:
                 queue += missing[::-1]
             elif queue.pop().number not in memo:
@@ -155,16 +155,16 @@ class RowTexts:
             return self._joined(c, k)
         if c.op == "list":
             name = self.new("l")
-            self.line(f"const {self.type(c)} {name}[{len(c.args)}] = {{{', '.join(map(self.of, c.args))}}};")
+            self.line(f"const {self.type_of(c.dtype)} {name}[{len(c.args)}] = {{{', '.join(map(self.of, c.args))}}};")
             return f"{name}[{k}]"
-        if is_operation(c):
+        if c.op in NAMES:
             words = self.applied(c, lambda a, plain: self.row(a, k, memo) if a.shape else self.of(a, plain))
             return words if c.op in ("sin", "cos") else self._named(c, words)
         raise UnsupportedError(f"rows of `{c.op}` have no C form")
 
     def _named(self, node, words):
         name = self.new()
-        self.line(f"const {self.type(node)} {name} = {words};")
+        self.line(f"const {self.type_of(node.dtype)} {name} = {words};")
         return name
 
     def _joined(self, c, k):

@@ -23,8 +23,8 @@ class ScalarWriter(Writer):
     def statements(self) -> list:
         return indented(super().statements())
 
-    def type(self, node) -> str:
-        return _type(node.dtype)
+    def type_of(self, dtype) -> str:
+        return _type(dtype)
 
     def splat(self, dtype, words) -> str:
         return f"({words})" if words.startswith("-") else words
@@ -76,7 +76,7 @@ class ScalarWriter(Writer):
         names, which, two = {i: self.new("t") for i in alive}, self.of(r.which), r.which.dtype.kind == "b"
         cases = list(enumerate(zip(r.blocks, r.results, strict=True)))[:: -1 if two else 1]
         for i, name in names.items():
-            self.line(f"{self.type(r.outs[i])} {name};")
+            self.line(f"{self.type_of(r.outs[i].dtype)} {name};")
         for place, (k, (block, results)) in enumerate(cases):
             asked = "" if place == len(cases) - 1 else f"if ({which}) " if two else f"if ({which} == {k}) "
             self.line(f"{'} else ' * (place > 0)}{asked}{{")

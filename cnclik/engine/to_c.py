@@ -8,7 +8,7 @@ one scan stacks, each round stores its part directly.
 import numpy as np
 
 from cnclik.engine.graph import Cond, Node, Scan, While, live
-from cnclik.engine.operations import COST, is_operation, number, text, vector
+from cnclik.engine.operations import COST, NAMES, number, text, vector
 from cnclik.engine.pieces import in_pieces, read_for
 from cnclik.engine.row_texts import (
     RowTexts,
@@ -37,6 +37,7 @@ class Writer(RowTexts):
     prefix = ""
     beside = 4  # entries stored at once
     piece = 0  # statements of one function; 0: all in one
+    type_of = staticmethod(vector)  # C type of numbers of a dtype
 
     def __init__(self, graph, given, outs, main, reads, writes):
         """Args:
@@ -69,9 +70,6 @@ class Writer(RowTexts):
         self.counted += 1
         return f"{letter}{self.counted}"
 
-    def type(self, node) -> str:
-        return vector(node.dtype)
-
     def of(self, node, plain=False) -> str:
         """A node in an expression; a plain constant as a number."""
         if node.known:
@@ -89,13 +87,14 @@ class Writer(RowTexts):
     def declare(self, node, words) -> str:
         """Declares a constant of the node's type."""
         self.operations += 1
-        name = self.names[node.number] = self.new()
-        self.line(f"const {self.type(node)} {name} = {words};")
+        self.counted += 1
+        name = self.names[node.number] = f"t{self.counted}"
+        self.lines.append(f"const {self.type_of(node.dtype)} {name} = {words};")
         return name
 
     def variable(self, node, words, letter="c") -> str:
         name = self.new(letter)
-        self.line(f"{self.type(node)} {name} = {words};")
+        self.line(f"{self.type_of(node.dtype)} {name} = {words};")
         return name
 
     def room(self, dtype, entries, length=1) -> str:
@@ -122,7 +121,7 @@ class Writer(RowTexts):
         angle = of(node.args[0], False)
         key = "sincos", angle
         if key not in self.names:
-            s, c, T = self.new(), self.new(), self.type(node)
+            s, c, T = self.new(), self.new(), self.type_of(node.dtype)
             self.line(f"{T} {s}, {c};")
             self.line(f"{self.prefix}sincos_{T}({angle}, &{s}, &{c});")
             self.names[key] = s, c
@@ -142,11 +141,14 @@ class Writer(RowTexts):
         if self.piece and len(items) > 1.5 * self.piece:
             in_pieces(self, items, ending)
         else:
+            writes = self.by_kind
             for item in items:
-                self.item(item)
+                writes[type(item)](item)
 
-    def item(self, item):
-        {Node: self.node, Scan: self.scan, While: self.loop, Cond: self.choice}[type(item)](item)
+    @property
+    def by_kind(self) -> dict:
+        """What writes an item of a block."""
+        return {Node: self.node, Scan: self.scan, While: self.loop, Cond: self.choice}
 
     def leave(self):
         """Ends a block: its values go out of scope."""
@@ -158,7 +160,7 @@ class Writer(RowTexts):
             self.materialise(n)
         elif n.number in self.names:
             return
-        elif is_operation(n):
+        elif n.op in NAMES:
             words = self.applied(n, self.of)
             if n.op in ("sin", "cos"):
                 self.names[n.number] = words
@@ -186,14 +188,14 @@ class Writer(RowTexts):
         which, name = f"{self.of(index)}[i]", self.new()
         self.names[n.number] = name
         at = f"{self.listed(cells)}[{which}]"
-        self.line(f"{self.type(n)} {name};")
+        self.line(f"{self.type_of(n.dtype)} {name};")
         self.line(f"for (int i = 0; i < W; ++i) {name}[i] = {at}[i];")
 
     def take(self, n):
         """A row's entry at a round that differs from lane to lane."""
         row, index = n.args
         name = self.names[n.number] = self.new()
-        self.line(f"{self.type(n)} {name};")
+        self.line(f"{self.type_of(n.dtype)} {name};")
         which = f"{self.of(index)}[i]"
         if in_argument(row):
             at = self.reads[self.given.index(row.args[0])](place_in(row, f"(int64_t){which}"), alone=True)
@@ -272,7 +274,7 @@ class Writer(RowTexts):
         for i, name in names.items():
             if name in texts:
                 words = texts[name]
-                words = words if mask is None else f"select_{self.type(r.carries[i])}({mask}, {words}, {name})"
+                words = words if mask is None else f"select_{self.type_of(r.carries[i].dtype)}({mask}, {words}, {name})"
                 self.line(f"{name} = {words};")
 
     def loop(self, r):
@@ -301,7 +303,7 @@ class Writer(RowTexts):
 
     def choice(self, r):
         alive, which, names = [i for i, o in enumerate(r.outs) if o.number in self.needed], self.new(), {}
-        self.line(f"const {self.type(r.which)} {which} = {self.of(r.which)};")
+        self.line(f"const {self.type_of(r.which.dtype)} {which} = {self.of(r.which)};")
         given = next((k for k, b in enumerate(r.blocks) if not any(map(self.is_needed, b.items))), None)
         for i in alive:
             at_first = self.splat(r.outs[i].dtype, "0") if given is None else self.of(r.results[given][i])
@@ -315,7 +317,8 @@ class Writer(RowTexts):
             self.active.append(mask)
             self.block(block, [results[i] for i in alive])
             for i in alive:
-                self.line(f"{names[i]} = select_{self.type(r.outs[i])}({mask}, {self.of(results[i])}, {names[i]});")
+                pick, result = f"select_{self.type_of(r.outs[i].dtype)}", self.of(results[i])
+                self.line(f"{names[i]} = {pick}({mask}, {result}, {names[i]});")
             self.active.pop()
             self.line("}")
             self.leave()

@@ -15,7 +15,7 @@ from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import jaxpr_as_fun
 
 from cnclik.engine.graph import Cond, Node, Scan, While, live
-from cnclik.engine.operations import COST, is_operation
+from cnclik.engine.operations import COST, NAMES
 from cnclik.engine.reader import Trace, read, trace
 from cnclik.engine.row_texts import all_items, cells_of
 from cnclik.engine.stacks import Rows
@@ -75,7 +75,7 @@ class _Writer:
         items = [i for i in block.items if i.number in self.needed]
         group = []
         for item in items:
-            if isinstance(item, Node) and is_operation(item) and not item.shape:
+            if isinstance(item, Node) and item.op in NAMES and not item.shape:
                 group.append(item)
                 continue
             self.operations(group)
@@ -138,7 +138,7 @@ class _Writer:
 
     def node(self, n):
         """A node other than an operation on scalars."""
-        if is_operation(n):
+        if n.op in NAMES:
             return self.applied(n, self.of)
         if n.op in ("index", "column", "within"):
             at = n.params if n.op == "index" else (slice(None), *np.atleast_1d(n.params).tolist())
@@ -254,7 +254,7 @@ def _users(graph, needed, ends) -> dict:
     found = {}
     for item in all_items(graph.root):
         if isinstance(item, Node):
-            by = item.number if is_operation(item) and not item.shape else -1
+            by = item.number if item.op in NAMES and not item.shape else -1
             for a in item.args if item.number in needed else ():
                 found.setdefault(a.number, set()).add(by)
         elif item.number in needed:

@@ -69,6 +69,7 @@ _ABOUT = {
     "bodies": "of each body s (c, 1), with its share s of the mass and its centre c in its frame [m]",
     "ends": "ends of a wall's shape, in its link's frame [m]",
     "radius": "[m]",
+    "curve": "of the target's path [m, s]",
     "walls": "of a wall, which keeps normal . x above offset [m, rad]",
 }
 

@@ -94,4 +94,5 @@ def configuration(request: Request) -> list:
         f"limits: {brief(law.limits)}; null space: {brief(law.null_velocity)}",
         f"target: {target}",
     ]
-    return [line.replace("−", "-").replace("…", "...").encode("ascii", "replace").decode() for line in lines]
+    ascii_of = str.maketrans({"−": "-", "…": "...", "²": "^2", "³": "^3", "⁴": "^4"})
+    return [line.translate(ascii_of).encode("ascii", "replace").decode() for line in lines]

@@ -1,8 +1,6 @@
 """Drive: what lies between a joint's command and its motion, and which joint values the controller uses. NumPy only.
 
-A command passes the dead time, is constant for a sample, and is followed by G(s): immediately, with a lag, or like a
-second-order servo. The sampled model is exact for a constant command; the gains of `cnclik.stability` and the loop of
-`solve` (see `cnclik.integrate.loop`) use the same matrices.
+The sampled model is exact for a constant command; `cnclik.stability` and the loop of `solve` use the same matrices.
 """
 
 from __future__ import annotations
@@ -69,50 +67,39 @@ class Drive:
     smoothed: str = "error"
 
     def __post_init__(self):
-        if isinstance(self.delay, str):
-            raise errors.fail("delay", "be a number of samples", f"is {self.delay!r}")
         if not errors.concrete(self.delay):
             raise errors.fail("delay", "be a known number of samples", "is traced: there is a program for each")
-        errors.number("delay", self.delay, at_least=0)
-        errors.integer("measurement_delay", self.measurement_delay, at_least=0, at_most=errors.MOST)
-        if self.delay + self.measurement_delay > MOST:
-            late = float(self.delay) + self.measurement_delay
+        delay = float(errors.number("delay", self.delay, at_least=0))
+        late = delay + errors.integer("measurement_delay", self.measurement_delay, at_least=0, at_most=errors.MOST)
+        if late > MOST:
             raise errors.fail("delay", f"be at most {MOST} samples, that of a measurement included", f"is {late:g}")
-        object.__setattr__(self, "delay", float(self.delay))
-        errors.one_of("command", self.command, COMMANDS)
-        errors.one_of("feedback", self.feedback, FEEDBACKS)
-        errors.one_of("smoothed", self.smoothed, SMOOTHED)
-        if self.natural_frequency is not None and not _none(self.lag):
+        for name, words in (("command", COMMANDS), ("feedback", FEEDBACKS), ("smoothed", SMOOTHED)):
+            errors.one_of(name, getattr(self, name), words)
+        lag, servo, checked = not _none(self.lag), self.natural_frequency is not None, {"delay": delay}
+        if lag and servo:
             must = "be left out where there is a lag: a drive has one of both"
             raise errors.fail("natural_frequency", must, "is given")
-        if self.natural_frequency is None and not (is_literal(self.damping_ratio) and self.damping_ratio == 1):
+        if not servo and not (is_literal(self.damping_ratio) and self.damping_ratio == 1):
             raise errors.fail("damping_ratio", "come with a natural_frequency", "comes without")
         if self.feedback == "rebased" and not self.steps_positions:
             must = "come with command position and a lag or servo where it is rebased: velocities begin nowhere else"
             raise errors.fail("feedback", must, f"comes with command {self.command}, order {self.order}")
-        for name in _QUANTITIES:
-            value = getattr(self, name)
-            if name == "lag" and value is None:
-                raise errors.fail(name, "be a number, 0 for none", "is None")
-            if value is None or (name == "lag" and _none(value)) or (name == "damping_ratio" and self.order < 2):
-                continue
-            known = _check(name, value)
-            object.__setattr__(self, name, known if np.ndim(known) else leaf(value))
-        self._check_filter()
-
-    def _check_filter(self):
-        if self.cutoff is not None:
-            if not _none(self.smoothing):
-                raise errors.fail(
-                    "cutoff", "be left out where there is a smoothing: a filter has one of both", "is given"
-                )
-            object.__setattr__(self, "cutoff", leaf(errors.number("cutoff", self.cutoff, positive=True)))
-        elif not _none(self.smoothing):
-            errors.number("smoothing", self.smoothing, at_least=0)
-            if errors.concrete(self.smoothing) and not float(self.smoothing) < 1:
+        for name in ["lag"] * lag + ["natural_frequency", "damping_ratio"] * servo:
+            size, shapes = {"positive": True, "at_least": 1 / LARGEST, "most": LARGEST}, ((), (None,), (None, 1))
+            checked[name] = errors.array(name, getattr(self, name), *shapes, **size)
+            if not np.size(checked[name]):
+                raise errors.fail(name, "be a number, or one per joint", "is empty")
+        if not _none(self.smoothing):
+            if self.cutoff is not None:
+                must = "be left out where there is a smoothing: a filter has one of both"
+                raise errors.fail("cutoff", must, "is given")
+            checked["smoothing"] = leaf(errors.number("smoothing", self.smoothing, at_least=0))
+            if errors.concrete(self.smoothing) and not self.smoothing < 1:
                 must = "be below 1, the share of the old value that is kept (a cut-off in Hz is `cutoff`)"
-                raise errors.fail("smoothing", must, f"is {float(self.smoothing):g}")
-            object.__setattr__(self, "smoothing", leaf(self.smoothing))
+                raise errors.fail("smoothing", must, f"is {self.smoothing:g}")
+        elif self.cutoff is not None:
+            checked["cutoff"] = leaf(errors.number("cutoff", self.cutoff, positive=True))
+        vars(self).update(checked)
 
     @property
     def order(self) -> int:
@@ -126,10 +113,7 @@ class Drive:
 
     def kept(self, Ts):
         """Return the share ρ of the old value that the filter keeps at a sampling time [s]."""
-        if self.cutoff is None:
-            return self.smoothing
-        xp = xp_for(self.cutoff, Ts)
-        return xp.exp(-2 * np.pi * self.cutoff * Ts)
+        return self.smoothing if self.cutoff is None else xp_for(self.cutoff, Ts).exp(-2 * np.pi * self.cutoff * Ts)
 
     @property
     def steps_positions(self) -> bool:
@@ -142,14 +126,10 @@ class Drive:
         return self.feedback == "commanded" or (self.steps_positions and self.feedback == "measured")
 
     @property
-    def ideal(self) -> bool:
-        """Whether the motion equals the command."""
-        return self.order == 0 and self.delay == 0 and self.filters != "command"
-
-    @property
     def prompt(self) -> bool:
         """Whether the loop equals the one without drives."""
-        return self.ideal and self.measurement_delay == 0 and self.feedback != "commanded" and not self.filters
+        at_once = self.order == 0 and self.delay == 0 and self.measurement_delay == 0
+        return at_once and self.feedback != "commanded" and not self.filters
 
     @property
     def lumped(self) -> Self:
@@ -159,34 +139,14 @@ class Drive:
     @property
     def joints(self) -> list[Drive]:
         """One drive for each joint whose numbers differ; equal ones once."""
-        count = max(np.size(getattr(self, name)) for name in _QUANTITIES if getattr(self, name) is not None)
-        numbers = {
-            name: np.broadcast_to(np.asarray(value, float), (count,))
-            for name in _QUANTITIES
-            if np.ndim(value := getattr(self, name))
-        }
-        if not numbers:
-            return [self]
-        rows = dict.fromkeys(zip(*(v.tolist() for v in numbers.values()), strict=True))
-        return [replace(self, **dict(zip(numbers, row, strict=True))) for row in rows]
+        each = {name: np.asarray(value, float) for name in _QUANTITIES if np.ndim(value := getattr(self, name))}
+        rows = dict.fromkeys(zip(*(v.ravel().tolist() for v in np.broadcast_arrays(*each.values())), strict=True))
+        return [replace(self, **dict(zip(each, row, strict=True))) for row in rows] or [self]
 
 
 def _none(value) -> bool:
     """Return whether a quantity is known to be absent."""
     return is_literal(value) and value == 0
-
-
-def _check(name, value):
-    """A positive quantity, a number or one per joint."""
-    value = errors.array(name, value, (), (None,), (None, 1), most=LARGEST)
-    if not errors.concrete(value):
-        return value
-    known = np.asarray(value, float)
-    if np.any(known <= 0):
-        raise errors.fail(name, "be positive", f"is {known.min():g}")
-    if np.any(known < 1 / LARGEST):
-        raise errors.fail(name, f"be at least {1 / LARGEST:g}", f"is {known.min():g}")
-    return value
 
 
 def check_drive(drive, chain) -> Drive:
@@ -214,11 +174,8 @@ def drive_in_words(drive: Drive, Ts: float) -> str:
     if drive.order == 2:
         words.append(f"a servo of {span(drive.natural_frequency, 'rad/s')}, ζ = {span(drive.damping_ratio, '')}")
     words += ["position commands"] * drive.steps_positions
-    words += {
-        "measured": [],
-        "commanded": ["own commands as feedback"],
-        "rebased": ["commands from the measured joints"],
-    }[drive.feedback]
+    fed = {"commanded": ["own commands as feedback"], "rebased": ["commands from the measured joints"]}
+    words += fed.get(drive.feedback, [])
     if drive.filters:
         words.append(f"{drive.filters} filtered with ρ = {float(drive.kept(Ts)):.3g}")
     return ", ".join(words) or "ideal drives"
@@ -306,10 +263,7 @@ def _held(a, b, h, xp):
 
 
 def _exponential(a):
-    """Return exp(A) of (..., s, s) in NumPy: exp(A/2ᵏ) − 1 as a series, squared k times.
-
-    SciPy's calls LAPACK, whose threads wait for each other longer than such a small matrix takes.
-    """
+    """Return exp(A) of (..., s, s) in NumPy: exp(A/2ᵏ) − 1 as a series, squared k times; SciPy's waits for threads."""
     size = np.abs(a).sum(-1).max(initial=0.0)
     doublings = max(math.frexp(size)[1] + 1, 0)  # scales the norm to at most 1/2
     a, less = a / 2.0**doublings, np.zeros_like(a)

@@ -1,11 +1,9 @@
 """lanes(fn): the meaning of jax.vmap(fn), laid out for the processor.
 
-`cnclik.engine.plan` chooses what runs a batch. On a CPU with a C compiler it is C on vectors, on all cores. Otherwise
-JAX gets it, on a CPU in tiles of a few dozen lanes, so few that a tile's data stay in the cache. Batches run in blocks
-of bounded size, side by side on all cores, or on all devices.
+What `cnclik.engine.plan` does not run as C runs in JAX, on a CPU in tiles whose data stay in the cache, in blocks of
+bounded size, side by side on all cores or devices.
 """
 
-import contextlib
 import functools
 import itertools
 from collections.abc import Callable
@@ -33,7 +31,7 @@ ALONE = 1024  # lanes, at most, that one thread runs
 CAPACITY = 1024  # lanes of a call of XLA's program, which serves batches of all sizes
 
 
-def lanes(fn: Callable, *, tile: int | None = None, block: int | None = None, cores: int | None = None) -> Callable:
+def lanes(fn: Callable, *, cores: int | None = None) -> Callable:
     """Map a function over a batch as `jax.vmap(fn)` does, with the same results to rounding, but faster.
 
     Every argument is a tree of arrays with one leading batch axis, of any size from 1 to tens of millions. Close over
@@ -42,26 +40,18 @@ def lanes(fn: Callable, *, tile: int | None = None, block: int | None = None, co
 
     Args:
       fn: function of one lane, such as `lambda q0: cnclik.solve(law, reference, q0, 0.01, 100).e[-1]`.
-      tile: lanes per tile of XLA's programs on a CPU; default: 64. C has its own tiles.
-      block: lanes per call of a program, a multiple of `tile`; default: 32768, on a GPU one tile of 2**18 lanes.
       cores: number of CPU cores that may work at once; default: all that this process may use.
 
     Under jit, vmap or grad it becomes part of that program: as C on JAX's threads, or through XLA on one core. Called
     with arrays it uses all cores or devices.
     """
-    on_cpu = jax.default_backend() == "cpu"
-    tile = errors.integer("tile", TILE if tile is None else tile, at_least=1)
-    default = max(LANES_PER_CALL if on_cpu else DEVICE_BLOCK, tile)
-    block = errors.integer("block", default if block is None else block, at_least=tile)
     cores = available() if cores is None else errors.integer("cores", cores, at_least=1, at_most=1 << 16)
     if not callable(fn):
         raise errors.fail("fn", "be a function of one lane", f"is {fn!r}")
-
-    as_c = native(fn)
+    as_c, on_cpu, devices = native(fn), jax.default_backend() == "cpu", jax.local_devices()
     # One thread per core, or per device: XLA's own threads gain nothing on so small operations.
-    devices = jax.local_devices()
     workers = [None] * cores if on_cpu and len(devices) == 1 else devices
-    in_jax, ready = jax.jit(functools.partial(tiled, as_c, tile, block=block)), LRU()
+    in_jax, compiled = jax.jit(functools.partial(tiled, as_c)), LRU()
 
     @functools.wraps(fn)
     def call(*args):
@@ -75,25 +65,17 @@ def lanes(fn: Callable, *, tile: int | None = None, block: int | None = None, co
             return function.trace(avals).tree.unflatten(jax.device_put(form(leaves, size, cores)))
         if isinstance(form, Program):
             return jax.vmap(as_c)(*args)
-        if not concrete or size <= tile or (workers[0] is not None and len(workers) == 1):  # there arrays stay
+        if not concrete or size <= TILE or (workers[0] is not None and len(workers) == 1):  # there arrays stay
             return in_jax(*args)
         able = workers if isinstance(form, Derived) or not on_cpu else workers[:1]  # LAPACK, see `shares_threads`
-        return _blocks(in_jax, ready, leaves, treedef, size, _block(size, tile, block, len(able)), able)
+        return _blocks(in_jax, compiled, args, size, able)
 
     return call
 
 
-def _signature(leaves, treedef) -> tuple:
-    """Return the types of one lane of the arguments: equal ones share a program."""
-    return treedef, *[(x.shape[1:], x.dtype) for x in leaves]
-
-
 def _size(leaves) -> int:
     """Return the batch size of all leaves."""
-    for leaf in leaves:
-        if not hasattr(leaf, "dtype"):  # the numbers of a list have shape ()
-            raise errors.fail("args", "be arrays, such as jnp.asarray(...) of a list", f"hold {leaf!r}")
-    sizes = {leaf.shape[:1] for leaf in leaves}
+    sizes = {np.shape(leaf)[:1] for leaf in leaves}  # of the numbers of a list ()
     if len(sizes) != 1 or sizes == {()}:
         found = sorted(str(s[0]) if s else "none" for s in sizes) or ["no arrays"]
         raise errors.fail("args", "be arrays with one leading batch axis of the same size", f"have {', '.join(found)}")
@@ -103,22 +85,14 @@ def _size(leaves) -> int:
     return size
 
 
-def _block(size, tile, block, workers):
-    """Return the lanes per call: at most `block`, in whole tiles, so that all workers get equally many calls."""
-    calls = workers * -(-size // (workers * block))
-    return -(-size // (calls * tile)) * tile
-
-
-def tiled(fn, tile, *args, block=DEVICE_BLOCK, count=None):
+def tiled(fn, *args, count=None):
     """Compute vmap(fn) as a loop over tiles, read and written in place.
 
-    Args:
-      tile, block: lanes of a tile, on a CPU and elsewhere.
-      count: number of wanted lanes, from the first; results of others are undefined. Traced, so that one program
-        serves batches of any size up to that of `args`.
+    Args: count: number of wanted lanes, from the first; results of others are undefined. Traced, so that one program
+      serves batches of any size up to that of `args`.
     """
     size = _size(jax.tree.leaves(args))
-    tile = min(tile if jax.default_backend() == "cpu" else block, size)
+    tile = min(TILE if jax.default_backend() == "cpu" else DEVICE_BLOCK, size)
 
     def results_from(start):
         return jax.vmap(fn)(*jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, start, tile), args))
@@ -135,40 +109,36 @@ def tiled(fn, tile, *args, block=DEVICE_BLOCK, count=None):
     return lax.fori_loop(0, ((size if count is None else count) + tile - 1) // tile, put, empty)
 
 
-def _blocks(compiled, ready, leaves, treedef, size, block, workers):
-    """Run blocks side by side; each result is copied into place as soon as it is ready."""
-    leaves = [np.asarray(leaf) for leaf in leaves]  # no copy on a CPU; slicing a jax.Array would compile
-    key = block, _signature(leaves, treedef)
+def _blocks(in_jax, compiled, args, size, workers):
+    """Run blocks of whole tiles side by side, as many for each worker. Args: compiled: keys of what is compiled."""
+    most = LANES_PER_CALL if jax.default_backend() == "cpu" else DEVICE_BLOCK
+    calls = len(workers) * -(-size // (len(workers) * most))
+    block = -(-size // (calls * TILE)) * TILE
+    args = jax.tree.map(np.asarray, args)  # no copy on a CPU; slicing a jax.Array would compile
+    key = block, str(jax.tree.map(lambda x: (x.shape[1:], x.dtype), args))
 
     @as_here
     def run(start):
-        part = [_take(leaf, start, block) for leaf in leaves]
-        device = workers[start // block % len(workers)]
-        if device is not None:
-            part = jax.device_put(part, device)
-        return start, jax.block_until_ready(compiled(*jax.tree.unflatten(treedef, part)))
+        part, device = jax.tree.map(lambda x: _part(x, start, block), args), workers[start // block % len(workers)]
+        return jax.tree.map(np.asarray, in_jax(*(part if device is None else jax.device_put(part, device))))
 
-    starts = list(range(0, size, block))
-    whole = None
+    starts = range(0, size, block)
     with side_by_side(len(workers)) as pool:
-        if not ready.get(key):  # compile once, not once per thread
-            done = [run(starts.pop(0))]
-            ready[key] = True
-        else:
-            done = []
-        for start, out in itertools.chain(done, pool.map(run, starts)):
-            flat, out_treedef = jax.tree.flatten(out)
-            if whole is None:
-                whole = [np.empty((size, *x.shape[1:]), x.dtype) for x in flat]
-            for into, x in zip(whole, flat, strict=True):
-                part = into[start : start + block]
-                part[...] = np.asarray(x)[: len(part)]
-    return jax.tree.unflatten(out_treedef, [jnp.asarray(x) for x in whole])
+        first = None if compiled.get(key) else run(0)  # compile once, not once per thread
+        compiled[key], whole = True, None
+        parts = pool.map(run, starts) if first is None else itertools.chain([first], pool.map(run, starts[1:]))
+        for start, part in zip(starts, parts, strict=True):  # in place, so that memory holds the results once
+            if start == 0:
+                whole = jax.tree.map(lambda x: np.empty((size, *x.shape[1:]), x.dtype), part)
+            for into, x in zip(*map(jax.tree.leaves, (whole, part)), strict=True):
+                into[start : start + block] = x[: size - start]
+    return jax.tree.map(jnp.asarray, whole)
 
 
-def _take(leaf, start, block):
-    part = leaf[start : start + block]
-    return part if part.shape[0] == block else np.concatenate([part, np.repeat(part[-1:], block - part.shape[0], 0)])
+def _part(x, start, block):
+    """Return a block of lanes; the last one is filled up."""
+    part = x[start : start + block]
+    return part if len(part) == block else np.resize(part, (block, *part.shape[1:]))
 
 
 class Batches:
@@ -183,7 +153,7 @@ class Batches:
             self.program = chosen(function, avals, batch=not single)
 
         def run(kept, lanes, count):
-            return tiled(lambda *own: as_c(*kept, *own), min(TILE, self.most), *lanes, count=count)
+            return tiled(lambda *own: as_c(*kept, *own), *lanes, count=count)
 
         self.run = bounded_jit(run)
 
@@ -199,23 +169,15 @@ class Batches:
             with jax.enable_x64(True):
                 call = functools.partial(self._in_tiles, jax.device_put(kept))
 
-        def threaded(leaves, size):
-            alone = size <= ALONE or available() == 1
-            with contextlib.nullcontext() if alone else side_by_side() as pool:
-                return call(leaves, size, pool, available())[0]
+        return lambda leaves, size: call(leaves, size, 1 if size <= ALONE else available())[0]
 
-        return threaded
-
-    def _in_tiles(self, kept, leaves, size, pool, _):
+    def _in_tiles(self, kept, leaves, size, cores):
         avals = self.avals[len(kept) :]
         leaves = [np.broadcast_to(x, (size, *a.shape)).astype(a.dtype) for x, a in zip(leaves, avals, strict=True)]
 
         def part(first):
-            some = [x[first : first + self.most] for x in leaves]
-            count = len(some[0])
-            some = [np.resize(x, (self.most, *x.shape[1:])) for x in some]
+            some, count = [_part(x, first, self.most) for x in leaves], min(self.most, size - first)
             return np.asarray(self.run(kept, some, np.int32(count)))[:count]
 
-        with jax.enable_x64(True):
-            parts = (map if pool is None else pool.map)(as_here(part), range(0, size, self.most))
-            return [np.concatenate(list(parts))]
+        with jax.enable_x64(True), side_by_side(cores) as pool:
+            return [np.concatenate(list(pool.map(as_here(part), range(0, size, self.most))))]

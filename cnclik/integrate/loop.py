@@ -1,10 +1,7 @@
 """Loop: the loop in time, as a state and a step that measures, advances, and passes the robot's drives.
 
-`solve` runs it and keeps the trajectory, `outcome` reduces it, tuning differentiates it, sweeps run many. Without
-drive and noise a step is `advance`.
-
-A measurement acts through one vector per step, w[k], the difference between the measured error and the error of the
-law's own chain. It is constant during a step, as for a controller that measures once per sample.
+A measurement acts through one vector per step, the difference between the measured error and that of the law's own
+chain. It is constant during a step, as for a controller that measures once per sample.
 """
 
 from __future__ import annotations
@@ -21,8 +18,8 @@ from cnclik.integrate.drive import Drive, Sampled, sampled
 from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import Method, evaluations_per_step
 from cnclik.integrate.stage import Stage
-from cnclik.integrate.status import flags, growing, task_flags
-from cnclik.integrate.trajectory import Trajectory, steps_of
+from cnclik.integrate.status import flags, growing
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
 from cnclik.law.paths import Reference
@@ -91,14 +88,15 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
     """Return the state at rest at q0 (n,). Args: compensated: whether rounding errors of q are kept, see `summed`."""
     if loop.model is None:
         return State(q0, jnp.zeros_like(q0) if compensated else None)
-    law, drive, smooth = loop.law, loop.drive, None
+    law, drive, model = loop.law, loop.drive, loop.model
     at = observe(law, loop.reference, loop.t0, q0)
     late = (at.e,) * (0 if drive.feedback == "commanded" else drive.measurement_delay)
-    if drive.filters == "error":
-        smooth = jnp.zeros_like(at.e)
+    held = q0 if drive.steps_positions else jnp.zeros_like(q0)  # what was commanded before
+    smooth: Any = {"error": jnp.zeros_like(at.e), "command": held}.get(drive.filters)
     if drive.filters == "target":  # which was where the robot is
         smooth = tuple(part.here(at.robot) for part in law.task.parts)
-    return State(q0, drives=resting(law.chain, drive, loop.model, q0, late, smooth))
+    x = jnp.zeros((*q0.shape, model.size), q0.dtype).at[..., 0].set(chart.centre(law.chain, q0))
+    return State(q0, drives=Driven(x, jnp.tile(held, (model.remembered, 1)), q0, late, smooth))
 
 
 def one(loop: Loop, state: State, k):
@@ -117,9 +115,8 @@ def one(loop: Loop, state: State, k):
     seen, offset, at, drives = _measured(loop, state, t, k)
     made = advance(law, loop.reference, seen, t, loop.Ts, loop.method, loop.stage, offset)
     after, qdot = made.q, made.qdot
-    if loop.model is not None and drives is not None:
-        step = chart.between(law.chain, seen, made.q)
-        after, drives = driven(law.chain, loop.drive, loop.model, drives, q, seen, step, loop.Ts)
+    if drives is not None:
+        after, drives = _driven(loop, drives, q, seen, chart.between(law.chain, seen, made.q))
         qdot = 1 / loop.Ts * chart.between(law.chain, q, after)
     return State(after, drives=drives), replace(made, q=q, qdot=qdot, x=at.x(), e=at.e)
 
@@ -163,48 +160,31 @@ def run(loop: Loop, q0) -> Trajectory:
     empty = jnp.zeros(task.m, q0.dtype)
     (_, last), steps = jax.lax.scan(with_last, (state, (jnp.zeros_like(q0), empty, empty)), k)
 
-    def rows(name):
-        return jax.lax.slice_in_dim(getattr(steps, name), 0, N)
-
+    steps = jax.tree.map(lambda rows: jax.lax.slice_in_dim(rows, 0, N), steps)
     made = Trajectory(
         t=loop.t0 + k * loop.Ts,
-        **{name: jnp.concatenate([rows(name), end[None]]) for name, end in zip(("q", "x", "e"), last, strict=True)},
-        **{name: rows(name) for name in steps_of(steps)},
+        **{name: jnp.concatenate([getattr(steps, name), end[None]]) for name, end in zip("qxe", last, strict=True)},
+        **{name: getattr(steps, name) for name in ("qdot", "residual", "contraction", "status", "walls")},
         evaluations=jnp.asarray(N * evaluations_per_step(loop.method, loop.stage, loop.law.chain.n)),
         tasks=tuple((name, at.start, at.stop) for name, at in task.each),
     )
     if not loop.direct:  # with noise an error grows and shrinks at random
         return made
-    grown, each = growing(loop.law, loop.reference, made.t, made.e)
-    if made.task_status is not None:
-        made = replace(made, task_status=made.task_status | each)
-    return replace(made, status=made.status | grown)
+    return replace(made, status=made.status | growing(loop.law, loop.reference, made.t, made.e))
 
 
 # --- drives and filters within the loop ---------------------------------------------------------------
 
 
-def resting(chain, drive: Drive, model: Sampled, q, late=(), smooth=None) -> Driven:
-    """Return drives at rest at q (n,), commanded to stay there.
-
-    Args: late: the errors on their way. smooth: the filtered error or target.
-    """
-    x = jnp.zeros((*q.shape, model.size), q.dtype).at[..., 0].set(chart.centre(chain, q))
-    held = q if drive.steps_positions else jnp.zeros_like(q)
-    return Driven(x, jnp.tile(held, (model.remembered, 1)), q, late, held if drive.filters == "command" else smooth)
-
-
-def driven(chain, drive: Drive, model: Sampled, drives: Driven, q, seen, step, Ts) -> tuple[Array, Driven]:
-    """Return the joint values (n,) one sample after q (n,), and the drives then.
-
-    Args: seen, step: (n,) the joint values that the controller used, and its step from there.
-    """
+def _driven(loop, drives, q, seen, step):
+    """Return the joint values one sample after q, and the drives then, for a step from the values the law used."""
+    chain, drive, smooth = loop.law.chain, loop.drive, drives.smooth
     sent = chart.moved(chain, seen if drive.feedback == "rebased" else drives.sent, step)
-    command, smooth = sent if drive.steps_positions else step / Ts, drives.smooth
+    command = sent if drive.steps_positions else step / loop.Ts
     if drive.filters == "command":
-        command = smooth = averaged(drive.kept(Ts), smooth, command)
+        command = smooth = averaged(drive.kept(loop.Ts), smooth, command)
     line = jnp.concatenate([command[None], drives.line])[: len(drives.line)]
-    x = model.moved(drives.x, drives.line, command)
+    x = loop.model.moved(drives.x, drives.line, command)
     after = chart.out(chain, q, x[:, 0])
     if chain.balls:
         x = x.at[:, 0].set(chart.centre(chain, after))
@@ -226,19 +206,16 @@ def turned(kept, before, new):
 
 @record
 class Step:
-    """One step of the loop: the fields of a `Trajectory` without the time axis.
+    """One step of the loop: the fields of a `Trajectory`, without the time axis.
 
     Attributes:
       q: (n,) joint values after the step [rad, m].
-      x: (m,) task coordinates before it [m, rad].
-      e: (m,) error before it, x_d − x [m, rad].
+      x, e: (m,) task coordinates and error before it [m, rad].
       qdot: (n,) constant joint velocity during it [rad/s, m/s].
-      residual: last change of the implicit stage, as a joint displacement; 0 for explicit methods.
-      contraction: ratio of the last two changes; at 1 or more the iteration diverges.
+      residual, contraction: last change of the implicit stage, as a joint displacement, and its ratio to that before.
       least: least singular value of the task Jacobian before it, an estimate from below; in a stack the least of its
         tasks.
       status: bits of `Status`.
-      task_status: (tasks,) bits that each task of a stack has alone; None without a stack.
       walls: (k,) margin of the approach velocity at each wall, see `Trajectory`; None without walls.
     """
 
@@ -250,7 +227,6 @@ class Step:
     contraction: Float[Array, ""]
     least: Float[Array, ""]
     status: Int[Array, ""]
-    task_status: Int[Array, " tasks"] | None = None
     walls: Float[Array, " k"] | None = None
 
 
@@ -261,7 +237,12 @@ def advance(law: Law, reference, q, t, Ts, method, stage, offset=None) -> Step:
     if method.exponential:
         made = exponential_march(law, known, q, at, t, Ts, method, stage)
     else:
-        made = _plain_march(law, known, q, at, t, Ts, method, stage, offset)
+
+        def field(c, q):
+            return evaluate(law, known, t if type(c) is float and c == 0 else t + c * Ts, q, offset)
+
+        field, y = charted(law.chain, q, field), centre(law.chain, q)
+        made = march(field, y, Ts, method, stage, evaluate_at(law, q, at))
     y, qdot = made.q, made.qdot
     if law.limits is not None:
         y, qdot = within(law, centre(law.chain, q), qdot, Ts)
@@ -276,26 +257,14 @@ def advance(law: Law, reference, q, t, Ts, method, stage, offset=None) -> Step:
         contraction=made.contraction,
         least=jnp.min(made.first.least),
         status=status,
-        task_status=task_flags(law, made.first),
         walls=made.first.walls,
     )
-
-
-def _plain_march(law, reference, q, at, t, Ts, method, stage, offset):
-    """Make one step of a tableau over the law's field, from its observation at q and t."""
-
-    def field(c, q):
-        return evaluate(law, reference, t if type(c) is float and c == 0 else t + c * Ts, q, offset)
-
-    field, y = charted(law.chain, q, field), centre(law.chain, q)
-    return march(field, y, Ts, method, stage, evaluate_at(law, q, at))
 
 
 def summed(law, q, step, lost):
     """Return q + step within the law's position limits, and the rounding error of the sum (Kahan 1965).
 
-    In single precision, steps below half a spacing of q would otherwise be lost: the loop would stop short of its
-    target by ulp(q)/2/(alpha·Ts). Rotations have no rounding error to carry, and the rounding error no derivatives.
+    In single precision, steps below half a spacing of q would otherwise be lost, and the loop stop short of its target.
 
     Args: lost: the rounding error of the last step, to be added with this one.
     """

@@ -45,10 +45,8 @@ def charted(chain, start, field):
 def march(field, q, Ts, method: Method, stage, first=None, *, at=None):
     """Make one step of the method over `field`.
 
-    field(c, q) is the right-hand side at time t + c·Ts: anything with `qdot` (n,) and, for stages that
-    use it, `newton`. A law's field is an `Evaluation`; the stability function steps over a linear one.
-
     Args:
+      field: of (c, q), the right-hand side at t + c·Ts: anything with `qdot` (n,) and, for some stages, `newton`.
       first: field(0, q), if known.
       at: arguments of the field in place of c, one per stage, if it needs more than the time.
     """
@@ -108,18 +106,7 @@ def combine(weights, vectors):
 # See `cnclik.integrate.method.exponential` for the formula and `cnclik.law.feedback` for the feedback.
 
 
-CLOSED = 2  # largest order with a closure of rotations, see `closure`
-
-
-def closure(law, mean, quadrature, turns):
-    """Return the part of the target's motion that a quadrature of ẋ_d misses, as a velocity (m,).
-
-    Rotations are included if `turns`: log(R_d(t + Ts) R_d(t)ᵀ) and Σ bᵢ ω_d·Ts differ by commutators (Magnus 1954), so
-    including them helps up to order 2 and harms beyond.
-    """
-    missed, task = mean - quadrature, law.task
-    parts = zip(task.parts, task.slices, strict=True)
-    return jnp.concatenate([0.0 * missed[own] if part.turns and not turns else missed[own] for part, own in parts])
+CLOSED = 2  # largest order at which a closure of rotations helps: Σ bᵢ ω_d·Ts misses commutators (Magnus 1954)
 
 
 def exponential_march(law, reference, q, at, t, Ts, method, stage) -> Moved:
@@ -130,11 +117,12 @@ def exponential_march(law, reference, q, at, t, Ts, method, stage) -> Moved:
     for c in method.c:
         if c not in rates:
             rates[c] = feedforward * sample(reference, task, t + c * Ts)[1]
-    low = method.order <= CLOSED
-    missed = closure(law, feedforward * mean, combine(method.b, [rates[c] for c in method.c]), low)
-    if low:
+    missed = feedforward * mean - combine(method.b, [rates[c] for c in method.c])  # by the quadrature of ẋ_d
+    if method.order <= CLOSED:
         feedback = [held_feedback(law, at.e, turns, Ts)] * len(method.c)
     else:
+        parts = zip(task.parts, task.slices, strict=True)
+        missed = jnp.concatenate([0.0 * missed[own] if part.turns else missed[own] for part, own in parts])
         none = (None,) * len(task.parts)
         within = [ahead(law, reference, at, t, c * Ts)[1] if c else none for c in method.c]
         feedback = feedback_within(law, at.e, method.c, within, Ts)

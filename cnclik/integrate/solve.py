@@ -1,8 +1,4 @@
-"""step and solve: the loop in time, checked and compiled.
-
-`advance` is one step of the loop, `loop.run` scans it over N steps. Everything is pure with static shapes: jit, vmap,
-jvp and grad go through for alpha, Ts, targets, q0, geometry and damping.
-"""
+"""step and solve: the loop in time, checked and compiled; jit, vmap, jvp and grad go through all its numbers."""
 
 from __future__ import annotations
 
@@ -24,8 +20,6 @@ from cnclik.law.paths import A_REFERENCE, Reference
 from cnclik.law.reference import REFERENCE, References, check
 from cnclik.record import ArrayLike, Float, Number, cast
 from cnclik.robot.model import modelled
-
-# --- public -------------------------------------------------------------------------------------------
 
 
 def solve(
@@ -128,17 +122,16 @@ def check_time(name, t, Ts, dtype, N: int = 1) -> None:
     if not (errors.concrete(t) and errors.concrete(Ts)):
         return
     t, Ts = float(t), float(Ts)
-    last, eps = abs(t) + N * Ts, _eps(dtype)
-    if last * eps <= Ts:  # an upper bound of the float spacing
+    last = abs(t) + N * Ts
+    if last * _eps(dtype) <= Ts:  # an upper bound of the float spacing
         return
     with np.errstate(over="ignore", invalid="ignore"):  # times beyond the dtype's range become inf
-        gap, run = (float(np.nan_to_num(np.spacing(dtype.type(at)), nan=np.inf)) for at in (abs(t), last))
+        gap = float(np.nan_to_num(np.spacing(dtype.type(last)), nan=np.inf))
     if gap > Ts:
-        must = "be counted from the start of the motion, or the loop run in float64 (x64 enabled, q in float64)"
-        raise errors.fail(name, must, f"is {t:.12g} s: {dtype} times are {gap:.3g} s apart there, and Ts is {Ts:g} s")
-    if run > Ts:
-        must = "be smaller, or the loop run in float64 (x64 enabled, q in float64)"
-        raise errors.fail("N", must, f"is {N}: {dtype} times are {run:.3g} s apart at the end, and Ts is {Ts:g} s")
+        must, value = "be counted from the start of the motion", f"{t:.12g} s"
+        name, must, value = (name, must, value) if abs(t) > N * Ts else ("N", "be smaller", N)
+        must += ", or the loop run in float64 (x64 enabled, q in float64)"
+        raise errors.fail(name, must, f"is {value}: {dtype} times are {gap:.3g} s apart there, and Ts is {Ts:g} s")
 
 
 @functools.cache

@@ -1,8 +1,6 @@
-"""Stage: how the slope of an implicit stage is found.
+"""Stage: how the slope of an implicit stage is found, of k = g(k), g(k) = f(t + c·Ts, base + h·k), h = a·Ts.
 
-An implicit slope solves k = g(k), g(k) = f(t + c·Ts, base + h·k), h = a·Ts. A stage is a record that is called with g
-and the quantities known at the step's start. It runs a fixed number of passes (a `lax.scan`: pure, differentiable, the
-same length in every lane) and returns the slope and its convergence.
+It runs a fixed number of passes, of the same length in every lane, and returns the slope and its convergence.
 """
 
 from __future__ import annotations
@@ -54,16 +52,38 @@ class Stage:
                 raise errors.fail("M", f"be 0 to `maximum`, {maximum}", f"is {np.min(M)} to {np.max(M)}")
         elif maximum is None:
             raise errors.fail("maximum", "be given where M is a traced array", "is None")
-        object.__setattr__(self, "M", M)
-        object.__setattr__(self, "maximum", errors.integer("maximum", maximum, at_least=0))
-        object.__setattr__(self, "tolerance", float(self.tolerance))
+        maximum = errors.integer("maximum", maximum, at_least=0)
+        vars(self).update(M=M, maximum=maximum, tolerance=float(self.tolerance))
 
     def __str__(self):
         return f"{type(self).__name__}({self.M})"
 
     def __call__(self, g, first, h, ahead) -> Solved:
         """Return the slope of g. Args: first: f at the step's start. ahead: the stage's base is q + h·ahead."""
-        return _iterate(self, lambda k: self.improved(g, h, k), self.start(first, h, ahead), h)
+        start = self.start(first, h, ahead)
+        zero, counted = jnp.zeros((), start.dtype), type(self.M) is int
+        # The start counts as the first change, from rest, so that M = 0 has a meaningful residual.
+        size = safe_norm(start)
+
+        def one_pass(carry, i):
+            slope, change, before = carry
+            new = self.improved(g, h, slope)
+            moved = safe_norm(new - slope)
+            if counted:
+                return (new, moved, change), None
+            # Lanes that have done their M passes keep their slope; the loop always runs `maximum` passes.
+            live = i < self.M
+            new = jnp.where(live, new, slope)
+            return (new, jnp.where(live, moved, change), jnp.where(live, change, before)), None
+
+        passes = self.M if counted else self.maximum
+        (slope, change, before), _ = lax.scan(one_pass, (start, size, zero), jnp.arange(passes))
+        change, before = lax.stop_gradient((change, before))
+        # Two changes of rounding size, of the slope or of the joints, mean convergence: the contraction is 0.
+        rounding = 8 * jnp.finfo(zero.dtype).eps
+        known = (before > rounding * lax.stop_gradient(size)) & (jnp.abs(h) * before > rounding)
+        ratio = jnp.where(known, change / jnp.where(known, before, 1.0), 0.0)
+        return Solved(slope=slope, residual=jnp.abs(h) * change, contraction=ratio)
 
     def start(self, first, h, ahead):
         """Return the slope that passes start from."""
@@ -128,30 +148,3 @@ class newton(chord):
 
     def evaluations(self, n):
         return self.M * (1 + n)
-
-
-def _iterate(stage, improve, start, h) -> Solved:
-    """Make M passes of k ← improve(k), and keep the size of the last two changes."""
-    zero, counted = jnp.zeros((), start.dtype), type(stage.M) is int
-    # The start counts as the first change, from rest, so that M = 0 has a meaningful residual.
-    size = safe_norm(start)
-
-    def one_pass(carry, i):
-        slope, change, before = carry
-        new = improve(slope)
-        moved = safe_norm(new - slope)
-        if counted:
-            return (new, moved, change), None
-        # Lanes that have done their M passes keep their slope; the loop always runs `maximum` passes.
-        live = i < stage.M
-        new = jnp.where(live, new, slope)
-        return (new, jnp.where(live, moved, change), jnp.where(live, change, before)), None
-
-    passes = stage.M if counted else stage.maximum
-    (slope, change, before), _ = lax.scan(one_pass, (start, size, zero), jnp.arange(passes))
-    change, before = lax.stop_gradient((change, before))
-    # Two changes of rounding size, of the slope or of the joints, mean convergence: the contraction is 0.
-    rounding = 8 * jnp.finfo(zero.dtype).eps
-    known = (before > rounding * lax.stop_gradient(size)) & (jnp.abs(h) * before > rounding)
-    ratio = jnp.where(known, change / jnp.where(known, before, 1.0), 0.0)
-    return Solved(slope=slope, residual=jnp.abs(h) * change, contraction=ratio)

@@ -7,7 +7,6 @@ from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from cnclik import errors
 from cnclik.law.law import metric
@@ -34,10 +33,7 @@ class Status(enum.IntFlag):
     WALLS_CONTRADICT = 1024  # no joint velocities within bounds keep all walls: see `Trajectory.walls`
 
 
-MISSED = 1e-4  # [m/s, rad/s] violation of a wall that exceeds rounding
-
 LOST = Status.NON_FINITE | Status.DIVERGED | Status.GROWING
-OWN = Status.NEAR_SINGULAR | Status.GROWING  # the bits that each task of a stack has alone
 
 _REMEDY = {
     Status.NON_FINITE: "reduce alpha·Ts, use damped(...), or clamp the error (error_clamp)",
@@ -58,8 +54,7 @@ class StepError(RuntimeError):
 
 def names(status: ArrayLike) -> str:
     """Return a status value in words, such as "NOT_CONVERGED|NEAR_SINGULAR"."""
-    status = int(np.asarray(status))
-    return "|".join(str(s.name) for s in Status if s and s & status) or "OK"
+    return str(Status(int(np.asarray(status))).name)
 
 
 def level(status: ArrayLike) -> np.ndarray:
@@ -71,8 +66,7 @@ def level(status: ArrayLike) -> np.ndarray:
 def count(status: ArrayLike) -> dict[str, int]:
     """Return the number of steps with each status name; a step may have several."""
     status = np.asarray(status)
-    counts = {"OK": int(np.sum(status == 0))}
-    return counts | {str(s.name): int(np.sum((status & s.value) != 0)) for s in Status if s}
+    return {"OK": int(np.sum(status == 0))} | {str(s.name): int(np.sum((status & s.value) != 0)) for s in Status}
 
 
 def counted(status) -> str:
@@ -102,9 +96,9 @@ def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
 
 
 def rounding_of(qdot):
-    """Return how much a wall may be missed by rounding, at joint velocities (..., n): (..., 1)."""
+    """Return how much a wall may be missed by rounding [m/s, rad/s], at joint velocities (..., n): (..., 1)."""
     xp = library(qdot)
-    return MISSED * (1 + xp.max(xp.abs(qdot), axis=-1, keepdims=True))
+    return 1e-4 * (1 + xp.max(xp.abs(qdot), axis=-1, keepdims=True))
 
 
 def flags(law, q, qdot, e, residual, tolerance, first):
@@ -123,20 +117,12 @@ def flags(law, q, qdot, e, residual, tolerance, first):
         low, high = chain.lower, chain.upper
         at_limit |= jnp.any(((q <= low) | (q >= high)) & ((q != low) | (q != high)))
     missed = False if first.walls is None else jnp.any(first.walls < -rounding_of(first.qdot))
-    bits = {Status.AT_LIMIT: at_limit, Status.OVER_VELOCITY: fast, Status.WALLS_CONTRADICT: missed}
-    for bit, holds in bits.items():
+    for bit, holds in ((Status.AT_LIMIT, at_limit), (Status.OVER_VELOCITY, fast), (Status.WALLS_CONTRADICT, missed)):
         if holds is not False:
             status |= jnp.where(holds, int(bit), 0)
     if law.task.m > chain.n and not law.task.tasks:
         status |= int(Status.TASK_TOO_LARGE)
     return status | jnp.where(finite, 0, int(Status.NON_FINITE))
-
-
-def task_flags(law, first):
-    """Return the bits of each task of a stack in one step, (tasks,); None without a stack."""
-    if not law.task.tasks:
-        return None
-    return jnp.where(first.least >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
 
 
 def far(dtype) -> float:
@@ -149,29 +135,15 @@ REVERSAL = 0.999  # or if its sign changes and it exceeds this times the one bef
 
 
 def growing(law, reference, t, e):
-    """Return GROWING or 0 for each step, and each task of a stack, from its errors e (N + 1, m) at t (N + 1,).
+    """Return GROWING or 0 for each step (N,), from its errors e (N + 1, m) at t (N + 1,).
 
     An error grows in a step if ‖e[k+1]‖ > 1.01 ‖e[k]‖ + s, or if e[k+1]·e[k] < 0 and ‖e[k+1]‖ > 0.999 ‖e[k]‖ + s. Here
     s is the target's own motion in the step, plus rounding, 64 eps (1 + ‖e[k]‖). With |R(z)| < 1 the loop stays below
     both, even if it rings; from |R(z)| = 1 on it does not, even if it is bounded. For a stack the norm includes its
     weights and levels, see `cnclik.law.law.metric`: otherwise a task that gives way to others would count as growing.
-    For one of its tasks, the decrease of the other tasks' errors is subtracted, too.
-
-    Returns: (N,), and (N, tasks) or None.
     """
-    task, moved, each = law.task, motion(reference, law.task, t), []
-    e = metric(law) * e if task.tasks else e
-    for _, at in task.each:
-        own = np.zeros(task.m, bool)
-        own[at] = True  # select instead of index: indices are read entry by entry
-        rest = safe_sqrt(jnp.sum(jnp.where(own, 0.0, e) ** 2, axis=1))
-        own = lax.slice_in_dim(e, at.start, at.stop, axis=1)
-        each.append(_grown(own, moved + jnp.maximum(rest[:-1] - rest[1:], 0.0)))
-    return _grown(e, moved), jnp.stack(each, axis=1) if each else None
-
-
-def _grown(e, explained):
+    e = metric(law) * e if law.task.tasks else e
     sizes, along = safe_sqrt(jnp.sum(e * e, axis=1)), jnp.sum(e[1:] * e[:-1], axis=1)
     rounding = 64 * jnp.finfo(e.dtype).eps * (1 + sizes[:-1])
-    factor = jnp.where(along < 0, REVERSAL, GROWTH)
-    return jnp.where(sizes[1:] > factor * sizes[:-1] + explained + rounding, int(Status.GROWING), 0)
+    grown = jnp.where(along < 0, REVERSAL, GROWTH) * sizes[:-1] + motion(reference, law.task, t) + rounding
+    return jnp.where(sizes[1:] > grown, int(Status.GROWING), 0)

@@ -1,4 +1,4 @@
-"""Trajectory: the motion of a loop, instant by instant; and its first steps."""
+"""Trajectory: the motion of a loop, instant by instant."""
 
 from __future__ import annotations
 
@@ -6,11 +6,8 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.status import OWN, counted
+from cnclik.integrate.status import counted
 from cnclik.record import Array, Float, Int, record, replace
-
-INSTANTS = ("t", "q", "x", "e")  # N + 1 entries
-STEPS = ("qdot", "residual", "contraction", "status")  # N entries
 
 
 @record
@@ -30,8 +27,6 @@ class Trajectory:
       evaluations: number of evaluations of f(q, t) in the whole run, each with a Jacobian and an inverse.
       tasks: for a stack: (name, first, last + 1) of the coordinates of its tasks; `run["hands"]` is the run of one
         task.
-      task_status: (N, tasks) bits of `Status` that each task has alone, NEAR_SINGULAR and GROWING; None without a
-        stack.
       walls: (N, k) margin of the approach velocity at each wall of `bounded`, ∇h·q̇ + rate·h [m/s, rad/s]: 0 where the
         wall is active, negative where it is not kept because walls contradict each other or the bounds; None without
         walls.
@@ -47,20 +42,15 @@ class Trajectory:
     status: Int[Array, "*lanes N"]
     evaluations: Int[Array, "*lanes"]
     tasks: tuple[tuple[str, int, int], ...] = ()
-    task_status: Int[Array, "*lanes N tasks"] | None = None
     walls: Float[Array, "*lanes N k"] | None = None
 
     def __getitem__(self, name: str) -> Trajectory:
-        """The run of one task of a stack: its x and e, and its own status."""
-        names = [task for task, _, _ in self.tasks]
-        if not names:
+        """The run of one task of a stack: its x and e; all else is of the whole run."""
+        columns = {task: slice(first, last) for task, first, last in self.tasks}
+        if not columns:
             raise errors.fail("name", "be left out: the run is of no stack, see ck.stack", f"is {name!r}")
-        i = names.index(errors.one_of("name", name, names))
-        columns = slice(*self.tasks[i][1:])
-        status = self.status
-        if self.task_status is not None:
-            status = (status & ~int(OWN)) | self.task_status[..., i]
-        return replace(self, x=self.x[..., columns], e=self.e[..., columns], status=status, tasks=(), task_status=None)
+        own = columns[errors.one_of("name", name, columns)]
+        return replace(self, x=self.x[..., own], e=self.e[..., own], tasks=())
 
     def __repr__(self):
         *lanes, N = np.shape(self.status)
@@ -68,47 +58,21 @@ class Trajectory:
         lines = [f"Trajectory: {of}{N} steps, {np.shape(self.q)[-1]} joints, {np.shape(self.e)[-1]} task coordinates"]
         if not all(errors.concrete(v) and isinstance(v, (np.ndarray, jax.Array)) for v in jax.tree.leaves(self)):
             return lines[0]
-        t, e, qdot = (np.asarray(v) for v in (self.t, self.e, self.qdot))
-        size = np.linalg.norm(e, axis=-1)
-        lines[0] += f", {e.dtype}"
-        if t.size:
-            lines.append(f"  t       {t.min():.6g} to {t.max():.6g} s")
-        if size.size:
-            first, last = size[..., 0].max(), size[..., -1].max()
-            lines.append(f"  ‖e‖     {first:.4g} at first, {last:.4g} at last, at most {size.max():.4g} [m, rad]")
-        if qdot.size:
-            lines.append(f"  q̇       at most {np.abs(qdot).max():.4g} [rad/s, m/s]")
-        lines.append(f"  status  {counted(self.status)}")
-        if self.tasks and size.size:
-            for name, a, b in self.tasks:
-                own = np.linalg.norm(e[..., a:b], axis=-1)[..., -1].max()
-                lines.append(f"  {name}: ‖e‖ {own:.4g} at last, {counted(self[name].status)}")
+        lines[0] += f", {self.e.dtype}"
+        for name, a, b in (("", 0, np.shape(self.e)[-1]), *self.tasks):
+            if (size := np.linalg.norm(self.e[..., a:b], axis=-1)).size:
+                first, last, most = (f"{part.max():.4g}" for part in (size[..., 0], size[..., -1], size))
+                lines.append(f"  {name}{': ' * bool(name)}‖e‖ {first} at first, {last} at last, at most {most}")
+        lines.append(f"  status: {counted(self.status)}")
         return "\n".join(lines)
 
 
-def check_run(run, law) -> None:
-    """Raise ArgumentError unless it is a run, or a batch of them, of this law's robot and task."""
-    errors.kind("run", run, Trajectory)
-    found, wanted = ((*np.shape(run.q)[-1:], *np.shape(run.e)[-1:]), (law.chain.n, law.task.m))
-    if found != wanted:
+def check_run(run, law=None, *, lanes=True) -> None:
+    """Raise ArgumentError unless it is a run of this law's robot and task; or several, if it may have lanes."""
+    axes = np.ndim(errors.kind("run", run, Trajectory).residual) - 1
+    if axes and not lanes:
+        raise errors.fail("run", "be one lane", f"has {axes} leading axes")
+    found = *np.shape(run.q)[-1:], *np.shape(run.e)[-1:]
+    if law is not None and found != (wanted := (law.chain.n, law.task.m)):
         must = f"be a Trajectory of this law, of {wanted[0]} joints and {wanted[1]} task coordinates"
         raise errors.fail("run", must, f"is of {' and '.join(map(str, found))}")
-
-
-def one_lane(run) -> None:
-    """Raise ArgumentError unless it is a single run."""
-    lanes = np.ndim(errors.kind("run", run, Trajectory).residual) - 1
-    if lanes:
-        raise errors.fail("run", "be one lane", f"has {lanes} leading axes")
-
-
-def truncate(run: Trajectory, N: int) -> Trajectory:
-    """Return the first N steps of a run, one lane."""
-    steps = run.status.shape[0]
-    cut = {name: getattr(run, name)[: N + (name in INSTANTS)] for name in (*INSTANTS, *steps_of(run))}
-    return replace(run, **cut, evaluations=run.evaluations * min(N, steps) // max(steps, 1))
-
-
-def steps_of(run):
-    """Return the names of the fields that a run or a step has per step."""
-    return STEPS + tuple(name for name in ("task_status", "walls") if getattr(run, name) is not None)

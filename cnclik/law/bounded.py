@@ -1,11 +1,8 @@
 """Bounded least squares: the joint velocities within bounds that have the least weighted task error.
 
-They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² in low ≤ q̇ ≤ high; without bounds this is a damped inverse. The method
-is projected Newton steps (Bertsekas 1982), a descent from face to face of the box.
-
-A violated wall, floor − G q̇ > 0, costs its square over the wall's softness. So a minimum exists even if walls
-contradict each other or the bounds, and they share the violation. Multipliers y raise the floor by softness·y, and
-thereby keep the walls exactly (Hestenes 1969; Powell 1969).
+They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² in low ≤ q̇ ≤ high by projected Newton steps (Bertsekas 1982). A violated
+wall, floor − G q̇ > 0, costs its square over the wall's softness, so walls that contradict each other share the
+violation. Multipliers y raise the floor by softness·y, and so keep the walls exactly (Hestenes 1969; Powell 1969).
 """
 
 from __future__ import annotations
@@ -101,8 +98,8 @@ class Face(NamedTuple):
     def softened(self, push=0.0) -> Face:
         """Return the face with the walls' softness on it, and their floors raised by multipliers.
 
-        A wall's softness is √eps·gᵀ H⁻¹ g. With √eps, its violation and the rounding where walls contradict each other
-        have the same size. If all joints that move a wall are locked, its softness is as by each joint alone.
+        It is √eps·gᵀ H⁻¹ g, so that violations and the rounding where walls contradict each other have the same size;
+        as by each joint alone if all joints that move a wall are locked.
         """
         of = self.of
         rows, joints = of.walls.rows, 1.0 / (jnp.sum(of.b * of.b, axis=0) + of.shift)
@@ -179,10 +176,9 @@ def swept(of: Problem, hessian, qdot, slope):
 def descent(of: Problem, start, passes) -> Pass:
     """Find the minimum within bounds, by at most `passes` passes from a start; the cost falls in each.
 
-    A pass locks the joints that would leave the bounds and makes a Newton step of the others, clipped to the bounds. If
-    that lowers the cost too little, it takes the step up to the first bound. After that no joint is unlocked before a
-    whole step, or a clipped one that is enough: otherwise some would unlock and lock for ever. Without walls, sweeps
-    over the joints first find most that are at a bound in the end.
+    A pass locks the joints that would leave the bounds and makes a Newton step of the others, clipped to the bounds; if
+    that lowers the cost too little, up to the first bound. Then no joint is unlocked before a step that is enough, as
+    some would unlock and lock for ever. Without walls, sweeps over the joints first find most that end at a bound.
     """
     hessian, eps, walled = of.hessian(), jnp.finfo(start.dtype).eps, len(of.walls.floor) > 0
     per_size, tolerance = 1.0 / jnp.diagonal(hessian), 1e-10 if eps < 1e-10 else 2e-5
@@ -238,8 +234,7 @@ def descent(of: Problem, start, passes) -> Pass:
 def kept(of: Problem, start, passes) -> Pass:
     """Find the minimum behind walls: a descent, and more while walls are violated by more than their softness.
 
-    Each further descent uses the multipliers of the one before, and the softness on the face where it ended. The first
-    has no multipliers, and the softness within the bounds.
+    Each uses the multipliers of the one before, and the softness on the face where that ended; the first has none.
     """
     if not len(of.walls.floor):
         return descent(of, start, passes)
@@ -265,10 +260,8 @@ class bounded:
 
     They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² within the bounds ±Vᵢ and rate·(limit − qᵢ) of q̇ᵢ; q̇₀ is the
     null-space velocity. A joint approaches its limit exponentially, and one outside its limits comes back, whatever the
-    task asks for.
-
-    Within the bounds this is the result of the law's damped inverse. At the bounds it is as close to the task as
-    possible, in a direction that may differ; of `levels` the lower ones give way first, and the first by about
+    task asks for. Within the bounds this is the result of the law's damped inverse. At the bounds it is as close to the
+    task as possible, in a direction that may differ; of `levels` the lower ones give way first, and the first by about
     (λ₁/λ₂)². Derivatives are those of the minimum on its face of the box.
 
     It needs a damped inverse, best a constant one or levels; with `singular_damped` joints may jump between bounds. λ²
@@ -277,7 +270,7 @@ class bounded:
 
     Args:
       rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit.
-      passes: largest number of Newton steps; three are usual, and none of 60,000 postures took more than 19.
+      passes: largest number of Newton steps; three are usual.
       walls: what no part of the robot may cross, see `wall`, before all levels of the task. `Trajectory.walls` shows
         which are active, and by how much contradicting ones are missed.
     """
@@ -294,9 +287,7 @@ class bounded:
             replace(item, name=item.name or str(i), rate=rate if item.rate is None else item.rate)
             for i, item in enumerate(self.walls, 1)
         )
-        checked = {"rate": rate, "passes": errors.integer("passes", self.passes, at_least=1), "walls": walls}
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(rate=rate, passes=errors.integer("passes", self.passes, at_least=1), walls=walls)
 
     def on(self, chain) -> bounded:
         """Return the limits with their walls for this robot. Raises: ArgumentError for unknown tips and joints."""

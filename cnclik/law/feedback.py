@@ -1,12 +1,9 @@
 """Constant feedback over a step: the error decays by its exact factor, whatever the gain and the sampling time.
 
-The law's own solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). A constant feedback over the step that
-reaches it is (1 − e^{−K·Ts}) e/Ts: K e for small K·Ts, and never more than e/Ts.
-
-The error of an orientation turns with the target by T(s) = R_d(t + s) R_d(t)ᵀ: with E = R_d Rᵀ = exp(e_R) the law gives
-Ė = [ω_d]E − E[ω_d + k e_R], which E(t + s) = exp(T(s) e^{−k·s} e_R) solves. So the feedback within the step is
-k e^{−k·s} T(s) e_R, and a constant one, to second order in the turn, the mean of T(s) at both ends times
-(1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis act in the same way, exactly for small e_R.
+A constant feedback (1 − e^{−K·Ts}) e/Ts, never more than e/Ts, leads to the law's own solution over a step, x_d(t + s)
+− e^{−K·s} e(t). The error of an orientation turns with the target by T(s) = R_d(t + s) R_d(t)ᵀ: E(t + s) =
+exp(T(s) e^{−k·s} e_R) solves Ė = [ω_d]E − E[ω_d + k e_R]. So its feedback is k e^{−k·s} T(s) e_R, and a constant one
+has, to second order in the turn, the mean of T(s) at both ends. Gains that differ by axis do so exactly for small e_R.
 """
 
 import jax.numpy as jnp
@@ -42,12 +39,9 @@ def _along(law, rate, turns, share):
 
 
 def held_feedback(law: Law, e, turns, Ts):
-    """Return the feedback (m,) of a step, constant over it, from the error at its start.
+    """Return the feedback (m,) of a step, constant over it, from the error e (m,) at its start; K e for Ts = 0.
 
-    Args:
-      e: (m,).
-      turns: of each part T = R_d(t + Ts) R_d(t)ᵀ; None without a turn or a whole orientation.
-      Ts: [s]; at 0 it is K e.
+    Args: turns: of each part T = R_d(t + Ts) R_d(t)ᵀ; None without a turn or a whole orientation.
     """
     return _along(law, per_step(law.alpha, Ts) * clamped(law, e), turns, 0.5)
 
@@ -56,10 +50,9 @@ def feedback_within(law: Law, e, times, turns, Ts) -> list:
     """Return the feedback (m,) of a step at each of some times within it, in units of Ts.
 
     They are slopes of the parabola through (1 − e^{−K·c·Ts}) e at c = 0, 1/2, 1, which a quadrature of order 2 to 4
-    integrates to the whole decay without loss of order. From K·Ts = 1 on the parabola gives way to the chord: slopes of
-    3 e/Ts at first and −e/Ts at last lead a far start astray.
+    integrates exactly. From K·Ts = 1 on the parabola gives way to the chord: slopes of 3 e/Ts lead a far start astray.
 
-    Args: turns: for each time, as for `held_feedback`, R_d(t + c·Ts) R_d(t)ᵀ.
+    Args: turns: for each time, as for `held_feedback`.
     """
     e = clamped(law, e)
     half, whole = (per_step(law.alpha, c * Ts) * e for c in (0.5, 1.0))

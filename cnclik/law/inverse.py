@@ -1,7 +1,6 @@
 """J#: turns a task velocity into joint velocities.
 
-An inverse is a record. Called with the rows of J and the error, both weighted, it factors them once and returns a
-`Factored`: a function that applies J# to any number of task velocities, and an estimate of singularity.
+An inverse is a record, called with the rows of J and the error, both weighted; it returns a `Factored`.
 """
 
 from __future__ import annotations
@@ -65,8 +64,8 @@ class Damping:
     shift: Callable  # of the rows and the error: λ², or one per row
 
     def __post_init__(self):
-        for name, value in fields_of(self).items():
-            object.__setattr__(self, name, leaf(errors.number(name, value, positive=True)))
+        checked = {name: leaf(errors.number(name, value, positive=True)) for name, value in fields_of(self).items()}
+        vars(self).update(checked)
 
     def __call__(self, rows, e) -> Factored:
         return by_shift(rows, self.shift(rows, e))
@@ -136,7 +135,7 @@ class Levels(Damping):
         if errors.concrete(damping) and np.any(np.diff(np.asarray(damping), prepend=0.0) <= 0):
             must = "be positive and grow from level to level: a smaller one comes first"
             raise errors.fail("damping", must, f"is {np.asarray(damping).tolist()}")
-        object.__setattr__(self, "damping", damping)
+        vars(self).update(damping=damping)
 
     def on(self, task) -> Levels:
         """Return the levels of a law's task. Raises: ArgumentError unless each of its tasks has one."""
@@ -194,8 +193,7 @@ def tiny_shift(rows, share=ROUNDED):
 def least_squared(rows):
     """Return σ_min² of J, or up to m^(1/32) less where others are as small (6 % for six rows), with smooth derivatives.
 
-    1/tr((JJᵀ)⁻³²)^(1/32) by five products: no decomposition, whose derivatives have no meaning where values are equal.
-    It is 0 where it is below rounding.
+    It is 1/tr((JJᵀ)⁻³²)^(1/32), by products, as a decomposition has no derivatives at equal values; 0 below rounding.
     """
     wide, tiny = _wide(rows), tiny_shift(rows)
     lower = dense.cholesky(dense.shifted(wide @ wide.T, tiny))

@@ -1,7 +1,6 @@
 """Paths: the references that cnclik builds, of curves.
 
-A curve is a record, so that points, periods and durations are parameters. It gives the target at a time: a position
-(d,), a rotation (3, 3), or None for one of them.
+A curve is a record, so that points and periods are parameters. It gives a position (d,) and a rotation (3, 3), or None.
 """
 
 from __future__ import annotations
@@ -70,6 +69,8 @@ class Line:
 
 @record
 class Circle:
+    """A circle, or by several frequencies a Lissajous figure."""
+
     center: Float[Array, " d"]
     first: Float[Array, " d"]  # from the centre at t = 0
     second: Float[Array, " d"]  # and a quarter of a cycle later
@@ -80,11 +81,6 @@ class Circle:
     def __call__(self, t):
         angle = 2 * math.pi / self.period * t * self.frequency
         return self.center + jnp.cos(angle) * self.first + jnp.sin(angle) * self.second, self.rotation
-
-
-@record
-class Lissajous(Circle):
-    """See `lissajous`."""
 
 
 @record
@@ -118,11 +114,6 @@ class Path:
         target, dtype = self.fn(t), jnp.result_type(t)
         if isinstance(target, Pose):
             return jnp.asarray(target.position, dtype), jnp.asarray(target.rotation, dtype)
-        if isinstance(target, (tuple, list)):
-            if any(map(jnp.ndim, target)):
-                must = "give a position, or a pose as ck.Pose(position=..., rotation=...)"
-                raise errors.fail("fn", must, f"gives a {type(target).__name__} of arrays")
-            target = jnp.stack([jnp.asarray(v, dtype) for v in target])
         return jnp.asarray(target, dtype), None
 
 
@@ -143,8 +134,8 @@ class Tangent:
 def interval(times, t):
     """Return k, 0 … K − 2, with times[k] ≤ t < times[k + 1] for rising times (K,); the first or last one outside.
 
-    By bisection with basic operations, as the primitives of `jnp.searchsorted` differ between versions of JAX. Written
-    out, as XLA for GPUs fails where a loop reads a table at an index that a loop inside it finds (openxla/xla #49299).
+    By bisection, written out: XLA for GPUs fails where a loop reads a table at an index that a loop inside it finds
+    (openxla/xla #49299), and the primitives of `jnp.searchsorted` differ between versions of JAX.
     """
     times, last = jnp.asarray(times), times.shape[0] - 1
     low, high = jnp.int32(0), jnp.int32(last)
@@ -245,7 +236,7 @@ def circle(
     xp = xp_for(phase)  # NumPy compiles nothing
     c, s = xp.cos(phase), xp.sin(phase)
     first, second = radius * (c * u + s * v), radius * (c * v - s * u)
-    return _periodic(Circle, period, rotation, center=center, first=first, second=second)
+    return _periodic(period, rotation, center=center, first=first, second=second)
 
 
 def lissajous(
@@ -272,14 +263,14 @@ def lissajous(
     phase = errors.array("phase", np.zeros(d) if phase is None else phase, (d,))
     amplitude, xp = errors.array("amplitude", amplitude, (d,)), xp_for(phase)
     first, second = amplitude * xp.sin(phase), amplitude * xp.cos(phase)
-    return _periodic(Lissajous, period, rotation, center=center, first=first, second=second, frequency=frequency)
+    return _periodic(period, rotation, center=center, first=first, second=second, frequency=frequency)
 
 
-def _periodic(kind, period, rotation, **fields):
+def _periodic(period, rotation, **fields):
     """Return the reference of a periodic curve."""
     if errors.concrete(errors.number("period", period)) and float(period) == 0:
         raise errors.fail("period", "not be 0", "is 0")
-    return Reference(curve=kind(rotation=_rotation("rotation", rotation), period=leaf(period), **fields))
+    return Reference(curve=Circle(rotation=_rotation("rotation", rotation), period=leaf(period), **fields))
 
 
 def waypoints(
@@ -287,17 +278,15 @@ def waypoints(
     positions: Float[ArrayLike, "K d"] | None = None,
     rotations: Float[ArrayLike, "K ..."] | None = None,
 ) -> Reference:
-    """Move through waypoints on a C² path: velocity and acceleration are continuous.
+    """Move through waypoints on a C² path, from rest to rest.
 
-    Positions follow the cubic spline through the points. Orientations follow the cubic spline of their
-    quaternions (signs aligned), normalised: it passes through every waypoint and does not depend on the
-    frame the rotations are given in. It starts and ends at rest.
+    Positions follow the cubic spline through the points, orientations that of their quaternions (signs aligned),
+    normalised, which does not depend on the frame the rotations are given in.
 
     Args:
       times: (K,) increasing [s].
       positions: (K, d) [m], or None.
-      rotations: (K, 3, 3) rotations or (K, 4) unit quaternions w, x, y, z, or None; neighbours less than
-        180° apart.
+      rotations: (K, 3, 3) rotations or (K, 4) unit quaternions w, x, y, z, or None; neighbours less than 180° apart.
     """
     if not errors.concrete(times):
         raise errors.fail("times", "be known numbers", "is traced")
@@ -338,8 +327,7 @@ def _quaternions(rotations):
 def path(fn: Callable) -> Reference:
     """Follow any differentiable function t -> position (array or tuple of length d), or t -> `Pose`.
 
-    The function is compiled into the programs that use it, as under `jax.jit`: values that it closes over are read
-    then.
+    It is compiled into the programs that use it, as under `jax.jit`: values that it closes over are read then.
     """
     if not callable(fn):
         raise errors.fail("fn", "be a function of time", f"is {fn!r}")

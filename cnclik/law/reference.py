@@ -1,8 +1,4 @@
-"""References: the desired path x_d(t) and its exact velocity.
-
-A curve is a function of time that returns a target: a position (d,), a rotation (3, 3), or both. Its velocity comes
-from `jax.jvp`, so that path and feed-forward agree, unless an explicit feed-forward replaces it.
-"""
+"""References: the desired path x_d(t) and its exact velocity, by `jax.jvp` of the curve."""
 
 from __future__ import annotations
 
@@ -92,9 +88,7 @@ def hold_at(
 
 
 def of_each(fn, reference, task):
-    """Return references with each target's reference replaced by fn(reference, parts); a single one stays single.
-
-    If no reference is given (None), they are made by fn(None, parts).
+    """Return references with each target's reference replaced by fn(reference, parts); None: made by fn(None, parts).
 
     Args: task: or some of its targets.
     Raises: ArgumentError if a target has no reference, or a reference no target.
@@ -161,16 +155,12 @@ def _moving(reference, parts, t):
 def tangent(reference, task: Task, t):
     """Return the reference extrapolated from time t with its velocity."""
 
-    def extrapolated(reference, task):
-        aims, rates = _moving(reference, task, t)
-        position = velocity = rotation = turning = None
-        for part, aim, rate in zip(task.parts, aims, rates, strict=True):
-            if part.turns:
-                rotation, turning = aim, spin(aim, rate)
-            else:
-                position, velocity = aim, rate
-        curve = Tangent(t=t, position=position, velocity=velocity, rotation=rotation, spin=turning)
-        return replace(reference, curve=curve)
+    t = jnp.asarray(t)
+
+    def extrapolated(path, _):
+        (position, rotation), (velocity, turning) = jax.jvp(path.curve, (t,), (jnp.ones_like(t),))
+        turning = None if rotation is None else spin(rotation, turning)
+        return replace(path, curve=Tangent(t=t, position=position, velocity=velocity, rotation=rotation, spin=turning))
 
     return of_each(extrapolated, reference, task)
 

@@ -10,7 +10,6 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
 from cnclik.robot.model import modelled
-from cnclik.task.build import center_of_mass
 from cnclik.task.parts import At
 from cnclik.task.task import Task, coordinates, rows
 
@@ -98,36 +97,3 @@ def wall(
     normal = normal if below is None else -normal
     rate = None if rate is None else leaf(errors.number("rate", rate, positive=True))
     return Wall(task=task, normal=normal, offset=leaf(offset), rate=rate, name=str(name))
-
-
-def support_polygon(
-    corners: Float[ArrayLike, "k 2"],
-    *,
-    relative_to: str | None = None,
-    margin: Number = 0.0,
-    rate: Number | None = None,
-    name: str = "",
-) -> tuple[Wall, ...]:
-    """Keep the centre of mass above the feet: a wall for each edge of the convex hull of their corners.
-
-    The polygon is in the plane z = 0 of the base, or of a tip such as a foot.
-
-    Args:
-      corners: (k, 2) corners of all feet on the ground [m], in any order.
-      relative_to: the tip in whose frame they are given; None: the base.
-      margin: distance that is kept from the edges [m]; where nothing is left, steps are WALLS_CONTRADICT.
-      rate: as for `wall`. name: "soles" makes walls soles_1, soles_2, ...
-    """
-    from scipy.spatial import ConvexHull, QhullError  # here, as most robots have no feet
-
-    points = np.asarray(errors.array("corners", corners, (None, 2)), float)
-    try:
-        edges = ConvexHull(points).equations  # outwards x + offset ≤ 0
-    except (QhullError, ValueError):
-        must = "be three or more that are not on one line"
-        raise errors.fail("corners", must, f"are {points.tolist()}") from None
-    task, margin = center_of_mass("xy", relative_to=relative_to), errors.number("margin", margin)
-    return tuple(
-        wall(task, normal=np.negative(outwards), above=offset + margin, rate=rate, name=f"{name}_{i}" if name else "")
-        for i, (*outwards, offset) in enumerate(edges, 1)
-    )

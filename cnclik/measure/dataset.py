@@ -68,7 +68,6 @@ def labelled(run: Trajectory, law: Law, dims=(), coords=None, config=None) -> tu
         "residual": (step, "last change of the implicit stage", q_unit),
         "contraction": (step, "ratio of its last two changes", "1"),
         "status": (step, "status bits", "1"),
-        "task_status": ((*step, "task"), "status bits of each task", "1"),
         "walls": ((*step, "wall"), "margin of the approach velocity at a wall", "m/s or rad/s"),
     }
     arrays = {name: getattr(run, name) for name in table}
@@ -76,8 +75,7 @@ def labelled(run: Trajectory, law: Law, dims=(), coords=None, config=None) -> tu
     evaluations = np.broadcast_to(np.asarray(run.evaluations), lanes)
     variables["evaluations"] = (dims, evaluations, about("evaluations of f(q, t)", "1"))
     flags = {"flag_masks": [s.value for s in Status if s], "flag_meanings": " ".join(str(s.name) for s in Status if s)}
-    for name in {"status", "task_status"} & variables.keys():
-        variables[name][2].update(flags)
+    variables["status"][2].update(flags)
     labels = {
         "joint": ("joint", list(chain.joint_names), about("joint", "1")),
         "joint_unit": ("joint", list(chain.units), about("unit of the joint's value", "1")),

@@ -16,8 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.status import Status
-from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
+from cnclik.integrate.trajectory import Trajectory, check_run
 from cnclik.law import reference as ref
 from cnclik.law.inverse import least_squared
 from cnclik.law.law import Law, check_loop, weighted
@@ -50,6 +51,7 @@ class Measured(NamedTuple):
     law: Law
     reference: ref.Reference | ref.References
     tolerance: Number  # of ‖e‖ [m, rad]
+    swings: bool = False  # whether errors may, as through a drive
 
     @property
     def size(self):
@@ -108,7 +110,13 @@ def _steps_to_tolerance(of):
 
 
 def _ending(of):
-    return jnp.where(of.size[0] == 0, jnp.nan, judge(of.size, of.run.status).ending)
+    ending = judge(of.size, of.run.status, swings=of.swings).ending
+    return jnp.where((of.size[0] == 0) | (not of.reference.still), jnp.nan, ending)
+
+
+def _stable(of):
+    ending = _ending(of)
+    return jnp.where(jnp.isnan(ending), jnp.nan, stable(ending))
 
 
 def _past_limit(of):
@@ -178,8 +186,8 @@ METRICS = {
         *("1", "evaluations of f to the tolerance"),
     ),
     "converged": Metric(lambda of: (of.size[-1] <= of.tolerance) * 1.0, "1", "1 if ‖e[N]‖ ≤ tolerance"),
-    "ending": Metric(_ending, "1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0"),
-    "stable": Metric(lambda of: stable(_ending(of)) * 1.0, "1", "converged, or still does, to a target at rest"),
+    "ending": Metric(_ending, "1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0 and for moving targets"),
+    "stable": Metric(_stable, "1", "1 if the loop converged, or still does; NaN as ending"),
     "max_qdot": Metric(lambda of: _max(jnp.abs(of.run.qdot)), "q/s", "largest |q̇ᵢ|"),
     "velocity_ratio": Metric(
         lambda of: _max(jnp.abs(of.run.qdot) / jnp.asarray(of.law.chain.velocity_limit)),
@@ -204,6 +212,7 @@ def measure_run(
     names: Sequence[str] = DEFAULT,
     *,
     tolerance: Number = 1e-3,
+    drive: Drive | None = None,
 ) -> Metrics:
     """Return metrics of one trajectory; pure, for use under jit, vmap and grad, in the precision of the run.
 
@@ -213,23 +222,24 @@ def measure_run(
       run: `Trajectory` of solve(law, reference, ...), one lane; for a batch use `jax.vmap`.
       names: of metrics, see `METRICS`.
       tolerance: of ‖e‖, for converged and steps to the tolerance [m, rad].
+      drive: of the run; through one an error may swing while the loop converges.
 
     Returns: `Metrics` in the order of `names`, with units.
     Raises: ArgumentError for a batch, for an unknown name (the nearest is suggested), or a metric without such a task.
     """
-    one_lane(run)
+    check_run(run, lanes=False)
     check_loop(law, reference)
     errors.number("tolerance", tolerance, positive=True)
     check(names, law)
     check_run(run, law)
-    names = tuple(dict.fromkeys(names))
-    values = _values(run, law, reference, np.asarray(tolerance, run.e.dtype), names=names)
+    names, swings = tuple(dict.fromkeys(names)), drive is not None and not check_drive(drive, law.chain).prompt
+    values = _values(run, law, reference, np.asarray(tolerance, run.e.dtype), swings=swings, names=names)
     return Metrics(values, {name: _unit(METRICS[name].unit, law) for name in names})
 
 
-@functools.partial(one_off, static_argnames="names")
-def _values(run, law, reference, tolerance, *, names):
-    measured = Measured(run, *cast((law, reference), run.q.dtype), tolerance)
+@functools.partial(one_off, static_argnames=("swings", "names"))
+def _values(run, law, reference, tolerance, *, swings, names):
+    measured = Measured(run, *cast((law, reference), run.q.dtype), tolerance, swings)
     values = [jnp.asarray(METRICS[name].fn(measured)) for name in names]
     return [v.astype(run.q.dtype) if jnp.issubdtype(v.dtype, jnp.floating) else v for v in values]
 

@@ -18,10 +18,10 @@ from cnclik import errors
 from cnclik.integrate.method import CN, METHODS, Method, evaluations_per_step, named
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
-from cnclik.integrate.trajectory import Trajectory, truncate
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law, evaluate
 from cnclik.law.paths import Reference, line
-from cnclik.record import ArrayLike, Float, record, replace, stack
+from cnclik.record import ArrayLike, Float, record, stack
 from cnclik.robot.chain import planar_arm
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_norm
@@ -218,9 +218,10 @@ def run_method(Ts: str, name: str) -> tuple[dict, dict]:
     runs, changes = {}, {}
     for i, (arm, lane) in enumerate(todo):
         n, cost = ARMS[arm].n, lane.N * evaluations_per_step(METHODS[name], picard(lane.M), ARMS[arm].n)
-        own = truncate(jax.tree.map(lambda a, i=i: a[i], run), lane.N)  # its own steps and joints
-        own = replace(own, q=own.q[:, :n], qdot=own.qdot[:, :n], evaluations=np.asarray(cost))
-        runs[arm, Ts, name, lane] = own
+        own: dict = {f: getattr(run, f)[i, : lane.N + 1] for f in ("t", "q", "x", "e")}  # its own steps and joints
+        own |= {f: getattr(run, f)[i, : lane.N] for f in ("qdot", "residual", "contraction", "status")}
+        own |= {"q": own["q"][:, :n], "qdot": own["qdot"][:, :n], "evaluations": np.asarray(cost)}
+        runs[arm, Ts, name, lane] = Trajectory(**own)
         if residuals is not None and lane in _PAPER_LANES:
             changes[arm, Ts, name, lane] = residuals[i]
     return runs, changes

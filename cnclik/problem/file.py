@@ -73,4 +73,5 @@ def _called(path, function):
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = error.lineno if isinstance(error, SyntaxError) and not lines else lines[-1] if lines else 0
         told = str(error) if isinstance(error, errors.ArgumentError) else errors.in_a_line(error)
+        told = told.replace("`", "'")  # arguments of the file's calls, which are no options
         raise errors.ArgumentError(f"{path.name}, line {line}: {told}") from error

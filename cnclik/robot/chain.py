@@ -1,8 +1,7 @@
 """Chain: a robot from base to tip, or a tree with several tips, and the functions that build one.
 
-A joint is a fixed offset from the frame that carries it, followed by a rotation about an axis (revolute) or a
-translation along it (prismatic); the axis passes through the joint's own origin. Geometry in Python floats is compiled
-in. Geometry in arrays (link lengths to calibrate, a tool to sweep) stays a parameter. See `cnclik.record`.
+Geometry in Python floats is compiled in. Geometry in arrays (link lengths to calibrate, a tool to sweep) stays a
+parameter. See `cnclik.record`.
 """
 
 from __future__ import annotations
@@ -60,10 +59,15 @@ class Chain:
     masses: Masses = ()  # of the base, then of each joint, with all links fixed to it; () if they are unknown
 
     def __post_init__(self):
-        lower, upper, speed = (_known(n, getattr(self, n), self.n) for n in ("lower", "upper", "velocity_limit"))
-        if speed is not None and min(speed) < 0:
-            raise errors.fail("velocity_limit", "be at least 0", f"is {min(speed):g}")
-        for name, low, high in zip(self.joint_names, lower or (), upper or (), strict=False):
+        known = {}
+        for name, least in (("lower", None), ("upper", None), ("velocity_limit", 0)):
+            parts = values if isinstance(values := getattr(self, name), (tuple, list)) else ()
+            if any(map(np.ndim, parts)) or not all(map(errors.concrete, (values, *parts))):
+                continue  # traced, or of several lanes
+            known[name] = np.asarray(errors.array(name, values, (self.n,), finite=False, at_least=least))
+            if np.isnan(known[name]).any():
+                raise errors.fail(name, "hold no NaN", f"is {tuple(known[name].tolist())}")
+        for name, low, high in zip(self.joint_names, known.get("lower", ()), known.get("upper", ()), strict=False):
             if low > high:
                 raise errors.fail("lower", "not exceed `upper`", f"is {low:g} > {high:g} at joint {name}")
 
@@ -120,8 +124,6 @@ class Chain:
 
 def planar_arm(lengths: Float[ArrayLike, " n"], *, clockwise: bool = False, joint_names: Names = None) -> Chain:
     """Return a planar arm of revolute joints about z; at q = 0 it lies along +y (Drexler 2016, Section V).
-
-    Joint i sits at (0, l₁ + … + lᵢ₋₁, 0), the tip at (0, l₁ + … + lₙ, 0).
 
     Args:
       lengths: (n,) link lengths [m]. A list of floats is compiled in, an array is a differentiable leaf.
@@ -230,22 +232,8 @@ def _scalars(name, values, size=None) -> tuple:
     return tuple(float(v) if is_number(v) else v for v in scalars)
 
 
-def _known(name, values, n):
-    """Return limits (n,) as floats; None if they are traced or belong to several lanes."""
-    parts = values if isinstance(values, (tuple, list)) else ()
-    if any(map(np.ndim, parts)) or not all(map(errors.concrete, (values, *parts))):
-        return None
-    known = errors.array(name, values, (n,), finite=False).tolist()
-    if any(map(math.isnan, known)):
-        raise errors.fail(name, "hold no NaN", f"is {tuple(known)}")
-    return known
-
-
 def offset_of(name, transform) -> Offset:
-    """Return the offset of a pose (see `poses.whole`), or of a position (3,); None is the identity.
-
-    Lists of numbers stay literal.
-    """
+    """Return the offset of a pose (see `poses.whole`), or a position (3,); None is the identity. Lists stay literal."""
     if transform is None or isinstance(transform, Offset):
         return transform or Offset()
     pose = poses.whole(name, transform)

@@ -1,22 +1,16 @@
 """Charts: how a robot with a free base, or another floating joint, moves in time.
 
-Its q is one flat vector (n,). A floating joint has x, y, z [m] and the rotation vector w [rad], R = exp([w]×), ‖w‖ ≤ π.
-Its velocity q̇ (n,) is a twist: the velocity ṗ of the joint's frame along the axes of the frame that carries it (for a
-base, the world's), and its angular velocity ω in its own axes, Ṙ = R [ω]×. This is not the derivative of w, so q itself
-is not integrated. Each step works in a chart centred at its start q₀ (Munthe-Kaas 1999; Iserles, Munthe-Kaas, Nørsett &
-Zanna 2000, Section 4). There y is q with rotations relative to R₀,
+A floating joint has x, y, z [m] and the rotation vector w [rad], R = exp([w]×), ‖w‖ ≤ π. Its velocity is a twist: ṗ of
+the joint's frame along the axes of the frame that carries it, and ω in its own axes, Ṙ = R [ω]×. So each step works in
+a chart centred at its start q₀ (Munthe-Kaas 1999; Iserles, Munthe-Kaas, Nørsett & Zanna 2000, Section 4),
 
   R = R₀ exp([d]×),   y = (p, d, joints),   at the centre d = 0,
   ḋ = dexp⁻¹(ω) = ω + ½ d × ω + c(‖d‖²) d × (d × ω),   c(x) = 1/12 + x/720 + x²/30240 + …,
 
-and a method adds vectors as usual. Its result becomes q by w = log(exp(w₀) exp(d)). At the centre ḋ = ω, so Jacobians
-of functions of q are computed there. For a robot without such joints y is q, and the charts cost nothing.
+where a method adds vectors as usual. At the centre ḋ = ω. For a robot without such joints y is q.
 """
 
-import functools
-
 import jax.numpy as jnp
-import numpy as np
 
 from cnclik.robot.rotations import log_quaternion, quaternion
 
@@ -50,14 +44,6 @@ def rates(chain, y, qdot):
 def between(chain, start, q):
     """Return the displacement (n,) from one posture to another: q − start, with log(R₀ᵀ R) for rotations."""
     return into(chain, start, q) - centre(chain, start)
-
-
-def apart(chain, starts, several):
-    """Return the displacements (..., n) to many postures, from one start or from as many."""
-    if not chain.balls:
-        return several - starts
-    starts = jnp.broadcast_to(jnp.asarray(starts), np.shape(several))
-    return jnp.vectorize(functools.partial(between, chain), signature="(n),(n)->(n)")(starts, jnp.asarray(several))
 
 
 def moved(chain, q, step):

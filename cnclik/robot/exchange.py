@@ -1,7 +1,6 @@
 """Exchange of joint values and velocities with models of Pinocchio and MuJoCo, matched by joint names.
 
-Both write a rotation as a quaternion. For a free joint, MuJoCo's velocities are those of `cnclik.robot.chart`, ṗ along
-the world's axes and ω in the base's own; Pinocchio's are Rᵀṗ and ω, and Rᵀṗ for a planar joint.
+For a free joint MuJoCo's velocities are those of `cnclik.robot.chart`; Pinocchio's are Rᵀṗ and ω.
 """
 
 from __future__ import annotations

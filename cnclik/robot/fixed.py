@@ -1,7 +1,6 @@
 """Fixed transforms: geometry in which numbers stay numbers and traced values stay traced.
 
-Vectors are tuples of scalars, matrices tuples of rows. Products with a Python 0 or 1 are folded, so the rest of the
-geometry stays known in an arm whose link lengths are parameters. `robot.model` turns the result into arrays.
+Products with a Python 0 or 1 are folded, so the rest of the geometry stays known in an arm whose lengths are traced.
 """
 
 import functools

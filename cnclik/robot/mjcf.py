@@ -34,16 +34,15 @@ def load_mjcf(
     """Load a robot from an MJCF model, as MuJoCo reads it: the chain from base to tip, or the tree to several tips.
 
     Bodies and sites are the links. Joint values are MuJoCo's `qpos`; MJCF has no velocity limits. A joint that an
-    active equality constraint couples linearly to another one is a mimic joint of it. Masses are those of bodies that
-    hang on joints. A free joint is a free base, see `load_urdf`; with the body behind it as the base the robot stands.
-    A ball joint is three coordinates, its rotation vector; its velocity is the angular velocity in the body's own axes.
+    active equality constraint couples linearly to another one is a mimic joint of it. A free joint is a free base, see
+    `load_urdf`; with the body behind it as the base the robot stands. A ball joint is its rotation vector, and its
+    velocity the angular velocity in the body's own axes. Masses are those of bodies that hang on joints.
 
     Args:
       model: the file, its text, which begins with "<", a `mujoco.MjSpec` or a `mujoco.MjModel`.
       tip: name of a body or a site; default: the only leaf that the joints move.
       base: name of the first body; default: the world; or how that moves, "planar" or "free", as for `load_urdf`.
       tips, freeze: as for `load_urdf`.
-
     Raises: ArgumentError as `load_urdf`, and where MuJoCo is not installed or cannot read the model.
     """
     return chain(read_mjcf(model), tip, base, tips=tips, freeze=freeze)

@@ -94,10 +94,7 @@ def _transforms(xp, rotation, position, last):
 
 
 def frames(chain: Model, q, tip: int) -> Frames:
-    """Return all frames at q (n,), as arrays; as NumPy arrays if all are numbers, and then also for q (..., n).
-
-    Args: tip: index of the tip.
-    """
+    """Return all frames of a tip, by its index, at q (n,); where all are numbers in NumPy, also for q (..., n)."""
     return tip_frames(*moved(chain, q), tip)
 
 
@@ -124,8 +121,7 @@ def tip_frames(chain: Model, at, axes, tip: int) -> Frames:
 def mass_frames(chain: Model, bodies: Float[Array, "j+1 4"], q) -> Frames:
     """Return the centre of mass at q (n,) as a tip: `jacobian_at` gives its rows of the Jacobian.
 
-    Joint i moves it by sᵢ aᵢ × (cᵢ − pᵢ), or sᵢ aᵢ, where cᵢ is the centre and sᵢ the share of the mass that it
-    carries.
+    Joint i moves it by sᵢ aᵢ × (cᵢ − pᵢ), or sᵢ aᵢ, by the share sᵢ of the mass that it carries and its centre cᵢ.
     """
     at = joint_frames(chain, q)
     xp = library(at, bodies)

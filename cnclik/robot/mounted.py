@@ -95,12 +95,9 @@ def _sum(*each) -> tuple:
 
 
 def lumped(inertials: dict, at: dict, count: int) -> Masses:
-    """Return the masses of the base and of each joint; () if there are none.
+    """Return the masses of the base and of each of `count` joints; () if there are none.
 
-    Args:
-      inertials: {link: (mass, its centre in the link's frame)}.
-      at: {link: (index of the joint that carries it, −1 for the base; its place in that frame)}.
-      count: of joints.
+    Args: inertials, at: {link: (mass, its centre)}; {link: (index of the joint that carries it, its place there)}.
     """
     carried: list = [[] for _ in range(count + 1)]
     for link, (mass, center) in inertials.items():

@@ -1,7 +1,4 @@
-"""Poses in the user's forms, read and checked in one place for all interfaces.
-
-A rotation may be as rough as three decimals; a known one is then made exact, in float64.
-"""
+"""Poses in the user's forms. A rotation may be as rough as three decimals; a known one is then made exact."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.record import ArrayLike, xp_for
-from cnclik.robot.rotations import products_of_quaternion, rotation_from_quaternion
+from cnclik.robot.rotations import rotation_from_quaternion
 
 _ROUGH = 1e-3  # largest deviation of a rotation's row lengths from 1, and of cosines between rows from 0
 _EXACT = 1e-12  # the same for one that is used unchanged
@@ -24,9 +21,7 @@ PoseLike = ArrayLike | Any  # one of FORMS, or numbers that are only a position
 def whole(name, value, *, finite=True):
     """Return (positions (..., 3), rotations (..., 3, 3)) of one or several whole poses; None for anything else.
 
-    Args:
-      value: of FORMS; transforms (4, 4) or (B, 4, 4), numbers (7,) or (B, 7).
-      finite: whether numbers must be finite; otherwise a status reports them.
+    Args: value: of FORMS; transforms (4, 4) or (B, 4, 4), numbers (7,) or (B, 7). finite: whether numbers must be.
     Raises: ArgumentError for invalid transforms and quaternions.
     """
     place = getattr(value, "translation", getattr(value, "position", None))
@@ -58,12 +53,12 @@ def rotations(name, value, *, finite=True):
 
 
 def quaternions(rotations) -> np.ndarray:
-    """Return unit quaternions (..., 4), w x y z with w ≥ 0, of known rotations, from the largest row of qᵢqⱼ."""
-    rows = np.array(products_of_quaternion(np.moveaxis(np.asarray(rotations, float), (-2, -1), (0, 1))))
-    rows = np.moveaxis(rows, (0, 1), (-2, -1))
-    largest = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), -1)
-    row = np.take_along_axis(rows, largest[..., None, None], -2)[..., 0, :]
-    return row / np.linalg.norm(row, axis=-1, keepdims=True) * np.where(row[..., :1] < 0, -1.0, 1.0)
+    """Return unit quaternions (..., 4), w x y z with w ≥ 0, of known rotations."""
+    from scipy.spatial.transform import Rotation  # here, as most poses are not written
+
+    rows = np.asarray(rotations, float)
+    turns = Rotation.from_matrix(rows.reshape(-1, 3, 3))
+    return turns.as_quat(canonical=True, scalar_first=True).reshape(*rows.shape[:-2], 4)
 
 
 def shape_of(value) -> tuple:

@@ -19,7 +19,7 @@ _SINGULAR = 1e-9  # least singular values that are rounding
 def arm_length(chain: Chain, least=1e-3, number=None):
     """Return the length of the stretched arm [m]: the distances from joint to joint to tip, at least 1 mm or `least`.
 
-    It is a float, or traced where the geometry is. Args: number: index of the tip; None: the farthest one's.
+    Args: number: index of the tip; None: the farthest one's.
     """
     ways = [
         [*(chain.joints[i].origin.position for i in chain.way(k)[1:]), tip.offset.position]
@@ -35,8 +35,7 @@ def arm_length(chain: Chain, least=1e-3, number=None):
 def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np, number=0):
     """Return how far points (..., len(axes)) lie beyond the stretched arm, from its first joint along those axes [m].
 
-    Args: number: index of the tip.
-    Returns: (...,), negative within reach; −∞ for arms with sliding joints, which have no fixed length.
+    It is negative within reach; −∞ for arms with sliding joints. Args: number: index of the tip.
     """
     way = [chain.joints[i] for i in chain.way(number)]
     if any(joint.kind != REVOLUTE for joint in way):
@@ -55,12 +54,11 @@ def is_planar(chain: Chain) -> bool:
 
 
 def start_posture(chain: Chain, *tasks):
-    """Return a posture (n,) [rad, m] well within the limits and away from singularities of the tasks, each of one tip,
-    and of all of them together where there are joints enough.
+    """Return a posture (n,) [rad, m] well within the limits and away from singularities of the tasks, each of one tip.
 
-    The middle of the limits (0 for joints without limits) if the task Jacobians are well conditioned there. Otherwise,
-    of 256 fixed postures around it, the one with the largest least singular value relative to each task's largest.
-    Lengths are in the arm's own unit.
+    The middle of the limits (0 for joints without limits) if the task Jacobians, and all of them together where there
+    are joints enough, are well conditioned there. Otherwise, of 256 fixed postures around it, the one with the largest
+    least singular value relative to each task's largest. Lengths are in the arm's own unit.
     """
     postures, each = _spread_postures(chain), []
     for task in tasks:  # a later room's, in NumPy, which does not compile
@@ -75,10 +73,7 @@ def start_posture(chain: Chain, *tasks):
 
 
 def evenly(count: int, n: int):
-    """Return points (count, n) that fill the unit cube evenly, the same on every machine; the first is its centre.
-
-    An additive sequence (Roberts 2018).
-    """
+    """Return points (count, n) that fill the unit cube evenly (Roberts 2018), the first its centre; always the same."""
     base = 2.0
     for _ in range(50):
         base = (1 + base) ** (1 / (n + 1))

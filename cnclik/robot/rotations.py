@@ -17,10 +17,7 @@ def library(*arrays):
 
 
 def product(a, b):
-    """Return A B = Σⱼ aᵢⱼ bⱼₖ of small matrices (..., k, k), as sums.
-
-    For a product XLA calls a library, which takes ten times as long.
-    """
+    """Return A B of small matrices (..., k, k), as sums: the library that XLA calls takes ten times as long."""
     return (a[..., :, :, None] * b[..., None, :, :]).sum(axis=-2)
 
 
@@ -32,8 +29,8 @@ def safe_norm(v):
 def safe_sqrt(x):
     """Return √x with derivative 0 (not NaN) at x = 0.
 
-    A rounding replaces 0 below the root. A compiler may compute x twice, once with a fused multiply-add, and find 0
-    only once; with 1 instead of a rounding, a resting target would then seem to have moved by 1 m.
+    A rounding replaces 0 below the root: with 1, a compiler that computes x twice, once with a fused multiply-add, and
+    finds 0 only once would make a resting target move by 1 m.
     """
     zero, least = x == 0, float(jnp.finfo(jnp.result_type(x)).eps) ** 2
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, least, x)))
@@ -67,10 +64,10 @@ def _series(x, *coefficients):
 
 
 def quaternion_from_rotation(r):
-    """Return the unit quaternion (w, x, y, z), w ≥ 0, of a rotation.
+    """Return the unit quaternion (w, x, y, z), w ≥ 0, of a rotation (after Shepperd 1978).
 
-    The rows of 4 q qᵀ are linear in the entries of R; taking the row with the largest diagonal keeps the
-    one square root away from 0, so values and derivatives stay finite everywhere (after Shepperd 1978).
+    The rows of 4 q qᵀ are linear in the entries of R. That with the largest diagonal keeps the one square root away
+    from 0, so values and derivatives stay finite everywhere.
     """
     rows = jnp.array(products_of_quaternion(r))
     row, largest = rows[0], rows[0, 0]

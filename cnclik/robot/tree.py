@@ -57,10 +57,6 @@ class Tree:
             joints[e.parent].append(e)
         return joints
 
-    @property
-    def leaves(self) -> tuple:
-        return tuple(link for link in self.links if not self.below[link])
-
     def way(self, tip, base=None) -> tuple:
         """Return the path from base (default: the root) to tip: joints up to the common link, and down from there."""
         up, down = ([*self._upward(link)] for link in (base or self.root, tip))
@@ -81,7 +77,7 @@ class Tree:
             link, moves = waiting.pop()
             moved[link] = moves
             waiting += [(e.child, moves or e.type != "fixed") for e in self.below[link]]
-        return tuple(leaf for leaf in self.leaves if moved.get(leaf))
+        return tuple(link for link in self.links if moved.get(link) and not self.below[link])
 
 
 def text_of(file) -> str | None:
@@ -213,25 +209,21 @@ def _top(file, links, edges) -> str:
         return errors.fail("path", "name a robot that is a tree of links", f"{file} {what}")
 
     children = [edge.child for edge in edges]
-    for what, names in (
-        ("more than one link", links),
-        ("more than one joint", [edge.name for edge in edges]),
-        ("a loop: two joints carry link", children),
-    ):
+    several = {"more than one link": links, "more than one joint": [edge.name for edge in edges]}
+    for what, names in (several | {"a loop: two joints carry link": children}).items():
         if twice := [name for name, count in collections.Counter(names).items() if count > 1]:
             raise bad(f"has {what} {twice[0]!r}")
     below: dict = {link: [] for link in links}
     for edge in edges:
-        for link in (edge.parent, edge.child):
-            if link not in below:
-                raise bad(f"has no link {link!r}, which joint {edge.name!r} connects")
+        if unknown := [link for link in (edge.parent, edge.child) if link not in below]:
+            raise bad(f"has no link {unknown[0]!r}, which joint {edge.name!r} connects")
         below[edge.parent].append(edge.child)
     roots = sorted(below.keys() - children, key=links.index)
     reached = [*roots]
     for link in reached:
         reached += below[link]
-    if len(reached) < len(links):
-        raise bad(f"has a loop through link {next(link for link in links if link not in reached)!r}")
+    if apart := sorted(below.keys() - reached, key=links.index):
+        raise bad(f"has a loop through link {apart[0]!r}")
     if len(roots) != 1:
         raise bad(f"has {len(roots):,} roots: {', '.join(roots)}" if roots else "has no links")
     return roots[0]

@@ -104,11 +104,9 @@ class _Walk:
             self._add(edge, turned, leader, multiplier, offset)
 
     def beside(self) -> None:
-        """Walk to all other links, for their masses.
+        """Walk to all other links, for their masses; links on a floating or planar joint are another body and left out.
 
-        Joints without a coordinate stay as near to 0 as their limits allow; a mimic joint follows its leader, or stays
-        where that does. Links on a floating or planar joint are another body and left out. Ball joints keep the file's
-        orientation.
+        Joints without a coordinate stay as near to 0 as their limits allow, and ball joints as in the file.
         """
         waiting = [*self.at]
         for link in waiting:
@@ -201,9 +199,10 @@ def _tip_of(tree: Tree, tip, base) -> str:
     if tip is not None:
         return _link_of(tree, "tip", tip)
     candidates = tree.tips(base)
+    if not candidates:
+        raise errors.fail("robot", f"have a joint that moves after {base!r}", f"{tree.file} has none")
     if len(candidates) != 1:
-        some = f", such as {', '.join(candidates[:8])}" if candidates else f"; no joint moves after {base!r}"
-        raise errors.fail("tip", f"be given for {tree.file}{some}", "is not")
+        raise errors.fail("tip", f"be given for {tree.file}, such as {', '.join(candidates[:8])}", "is not")
     return candidates[0]
 
 

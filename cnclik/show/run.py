@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from cnclik import errors
 from cnclik.integrate.status import Status, level
-from cnclik.integrate.trajectory import Trajectory, one_lane
+from cnclik.integrate.trajectory import Trajectory, check_run
 from cnclik.law.law import Law
 from cnclik.measure.dataset import to_dataset
 from cnclik.precision import of_numbers
@@ -38,7 +38,7 @@ def plot(run: Trajectory, law: Law, kind: str = "overview") -> Figure:
     Raises: ArgumentError for another kind, or a batch of runs.
     """
     draw = KINDS[errors.one_of("kind", kind, KINDS)]
-    one_lane(run)
+    check_run(run, lanes=False)
     with style.style():
         return draw(to_dataset(run, law), law.chain)
 

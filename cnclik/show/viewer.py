@@ -11,7 +11,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.status import level, names
-from cnclik.integrate.trajectory import Trajectory, one_lane
+from cnclik.integrate.trajectory import check_run
 from cnclik.law.law import Law
 from cnclik.measure.dataset import to_dataset
 from cnclik.robot import poses
@@ -45,7 +45,7 @@ def view(run, law, *, robot=None, host="localhost", port=8080):
         raise errors.ArgumentError(f"The viewer needs the package viser, which is not installed: {install}")
     import viser
 
-    one_lane(errors.kind("run", run, Trajectory))
+    check_run(run, lanes=False)
     errors.kind("law", law, Law)
     errors.integer("port", port, at_least=1, at_most=65_000)
     try:

@@ -6,6 +6,7 @@ Nothing is run again. A cause is named only where the run shows it. A remedy fol
 from __future__ import annotations
 
 import enum
+import functools
 import math
 
 import numpy as np
@@ -15,7 +16,7 @@ from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT, MethodLike
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.status import Status, rounding_of
-from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
+from cnclik.integrate.trajectory import Trajectory, check_run
 from cnclik.law.law import Law, check_loop
 from cnclik.law.paths import Reference
 from cnclik.measure.outcome import STALL_RATIO
@@ -93,8 +94,7 @@ def verdict(
 @in_float64_if_known
 def _verdict(law, reference, run, dtype, method, stage, drive, noise) -> Verdict:
     check_loop(law, reference)
-    one_lane(run)
-    check_run(run, law)
+    check_run(run, law, lanes=False)
     if len(run.residual) == 0:
         raise errors.fail("run", "have at least one step", "has none")
     Ts = float(run.t[-1] - run.t[0]) / len(run.residual)
@@ -144,7 +144,7 @@ class _Case:
         seen = swing > max(VISIBLE * (1 + self.length), NOISE * self.sigma) and not self.arrived()
         swings = seen and (self.shakes() or (turns >= TURNS and swing >= before / GROWN))
         held, grows = self.held(), self.grows()
-        if held and (self.still or not grows):
+        if held and (self.still or not grows or self.unreachable):
             also = "; it swings" * bool(swings)
             return Behaviour.HELD_BACK, f"{held}; {said}{also}", self.more_damping() if swings else NO_REMEDY
         if grows or (swings and swing > GROWN * before and before > self.floor):
@@ -166,9 +166,10 @@ class _Case:
         size = self.size if some is None else np.linalg.norm(self.e[:, some], axis=1)
         return size[self.last].max() <= max(ARRIVED * size[0] * self.still, self.floor, NOISE * self.sigma)
 
-    def shrinks(self) -> bool:
+    def shrinks(self, some=None) -> bool:
         """Whether the errors still become smaller."""
-        return self.error < STALL_RATIO * self.size[self.before].max()
+        size = self.size if some is None else np.linalg.norm(self.e[:, some], axis=1)
+        return size[self.last].max() < STALL_RATIO * size[self.before].max()
 
     def grows(self) -> bool:
         """Whether the errors of the last quarter are larger than those before."""
@@ -211,7 +212,8 @@ class _Case:
 
     def of_task(self, at, kind) -> str:
         """What a task of a stack did, in words; its error alone where the run shakes or is too short to tell."""
-        state = "settled" if self.arrived(at) else "stays" if self.still else "following"
+        rests = "still falls" if self.shrinks(at) else "stays"
+        state = "settled" if self.arrived(at) else rests if self.still else "following"
         says = state == "settled" or kind in ("settled", "following", "held back")
         return f"{self.largest(some=at)}{f' ({state})' * says}"
 
@@ -220,15 +222,15 @@ class _Case:
         if self.still:
             return "" if self.shrinks() or self.arrived() else self.cause()
         (acted, words), lag = self.acted(), self.lag()
-        if not words:
-            return self.unreachable() if self.error > FAR * self.length and not lag else ""
-        if acted.all() and lag:
-            return ""
+        far = self.unreachable if self.error > FAR * self.length and not lag else ""
+        if not words or (acted.all() and lag):
+            return far
         size = self.size[1:]
         usual = np.median(size[~acted]) if not acted.all() else 0.0
         if size[acted].max() <= max(2 * usual, 10 * self.floor):
-            return ""
-        return f"{words}; while they acted the error was up to {self.largest(np.flatnonzero(acted) + 1)}"
+            return far
+        words += f"; while they acted the error was up to {self.largest(np.flatnonzero(acted) + 1)}"
+        return "; ".join(filter(None, [far, words]))
 
     def cause(self) -> str:
         """What holds the robot where it rests away from its target, in words; "" where the run does not show it."""
@@ -236,7 +238,7 @@ class _Case:
             return "the gain is 0"
         acted, held = self.acted()
         held = held if acted[self.last].mean() >= OFTEN else ""
-        if causes := "; ".join(filter(None, [self.unreachable(), held])):
+        if causes := "; ".join(filter(None, [self.unreachable, held])):
             return causes
         if np.mean((self.status[self.last] & Status.NEAR_SINGULAR) != 0) >= OFTEN:
             return "next to a singularity"
@@ -260,14 +262,17 @@ class _Case:
         words = [f"{what} in {steps.sum()} of {self.N} steps" for what, steps in acts.items() if steps.mean() >= RARE]
         return np.any(list(acts.values()), axis=0), "; ".join(words)
 
+    @functools.cached_property
     def unreachable(self) -> str:
-        """How far the nearest posture is from the last targets, in words; "" where that is 0 or unknown."""
+        """How far the nearest posture is from the targets at the largest error of the last quarter, in words; "" where
+        that is 0 or unknown."""
         from cnclik.reaching.public import reach  # most runs do not need it
         from cnclik.reaching.result import ReachStatus
         from cnclik.reaching.targets import wanted_at
 
         try:
-            task, targets = wanted_at(self.reference, self.law.task, self.t[-1])
+            worst = self.t[self.last][np.argmax(self.size[self.last])]
+            task, targets = wanted_at(self.reference, self.law.task, worst)
             task, limited = replace(task, weights=None), self.law.limits is not None
             nearest = reach(self.law.chain, targets, task=task, tolerance=(1e-4, 1e-4), limits=limited)
         except errors.ArgumentError:  # of a free base, of joint values and functions of one's own alone
@@ -277,7 +282,8 @@ class _Case:
         sizes = ((task.lengths, nearest.position_error, "m"), (task.angles, nearest.orientation_error, "rad"))
         far = " and ".join(aloud(float(size), unit) for axes, size, unit in sizes if axes)
         kept = " within the joint limits" * bool(nearest.status == ReachStatus.AT_LIMIT)
-        return f"out of reach: the nearest posture found{kept} is {far} away"
+        when = "" if self.still else f" at t = {worst:.4g} s"
+        return f"out of reach{when}: the nearest posture found{kept} is {far} away"
 
     def lower_gain(self) -> tuple[dict, str]:
         """The recommended gain, where one is above that without overshoot; else damping, next to a singularity."""
@@ -293,6 +299,8 @@ class _Case:
         if not near.size or not np.isfinite(slowest):
             return NO_REMEDY
         damping = float(f"{self.alpha.max() * self.size[near[0]] / (2 * slowest):.1g}")
+        if damping >= self.length:  # not steadied by that, but stopped
+            return NO_REMEDY
         words = f"near the singularity use a damping of {damping:g}, which keeps joint velocities below |v|/(2 λ)"
         return {"damping": damping}, words
 
@@ -305,7 +313,7 @@ class _Case:
         needed = math.ceil(100 * math.sqrt(self.alpha.max() * self.Ts * self.error * self.length / 2)) / 100
         if needed <= float(damping):
             return self.lower_gain()
-        return {"damping": needed}, f"a damping of {needed:g} lets it rest in front of the target"
+        return {"damping": needed}, f"a damping of {needed:g} keeps it calm in front of the target"
 
     def unstable(self) -> tuple[dict, str]:
         """The recommended gain, of a run that is calm with a gain above the largest stable one."""

@@ -21,7 +21,6 @@ from cnclik.stability.gain import mixed_share
 from cnclik.stability.linear import amplification, gain_removing, passes_of, stability_limit
 
 CHUNK = 1 << 15  # loops run between two looks at the progress
-LOOPS_PER_CALL = 1 << 10  # loops that one core runs at a time: small, as those that diverge may take longer
 AXES = {"alpha": ("1/s", "gain α"), "Ts": ("s", "sampling time"), "M": ("1", "passes M")}
 RESULTS = {
     "ending": ("1", "how the loop ended"),
@@ -102,7 +101,7 @@ def stability_map(
         through = dict(drive=drive, model=model, tolerance=tolerance)
         return outcome(scaled, reference, jnp.asarray(q0), Ts, N, method, own, **through)
 
-    run, count, endings = lanes(ended, block=LOOPS_PER_CALL), len(factor), []
+    run, count, endings = lanes(ended), len(factor), []
     size = min(CHUNK, count)
     for i in range(0, count, size):
         ids = np.minimum(np.arange(i, i + size), count - 1)  # one shape, one compilation

@@ -89,7 +89,8 @@ class Spec:
         """Return the metrics of one loop. The sweep batches this function. Args: draws: see `Spec.draws`."""
         problem = self.loop(values).build()
         run = problem.run(draws)
-        return measure_run(run, problem.law, problem.reference, self.metrics, tolerance=self.tolerance)
+        tolerance, drive = self.tolerance, problem.drive
+        return measure_run(run, problem.law, problem.reference, self.metrics, tolerance=tolerance, drive=drive)
 
     def draws(self, program: dict, lanes: dict) -> dict:
         """Return the standard normal numbers (lanes, N, m) of noise whose seed is an axis."""

@@ -7,6 +7,9 @@ import operator
 
 import numpy as np
 
+from cnclik.problem.options import DEFAULTS
+from cnclik.sweeps.axes import evaluate, is_quantity
+
 FILES = ("summary.csv", "config.json")
 _WRONG = ("diverged", "growing", "over_velocity")  # counts of steps that are 0 for a safe loop
 _APART = ("case", "robot")  # axes along which errors are not compared
@@ -54,10 +57,16 @@ def best(data) -> list:
 
 def _z(data):
     """Return alpha·Ts of each loop; None where it isn't known."""
-    fixed = json.loads(data.attrs.get("spec", "{}")).get("fixed", {})
-    alpha, Ts = (data[n] if n in data.dims and data[n].dtype.kind == "f" else fixed.get(n) for n in ("alpha", "Ts"))
-    known = not any(v is None or isinstance(v, str | list) for v in (alpha, Ts))
-    return data["z"] if "z" in data.dims else alpha * Ts if known else None
+    if "z" in data.dims:
+        return data["z"]
+    spec = {"fixed": {}, "axes": {}} | json.loads(data.attrs.get("spec", "{}"))
+    tables = [table for axis in spec["axes"].values() if isinstance(axis, dict) for table in axis.values()]
+    varied = [name for table in tables if isinstance(table, dict) for name in table]  # by an axis of tables
+    fixed = DEFAULTS | spec["fixed"] | dict.fromkeys(varied)
+    alpha, Ts = (data[n] if n in data.dims else fixed[n] for n in ("alpha", "Ts"))
+    Ts = evaluate("Ts", Ts) if is_quantity(Ts) else Ts
+    known = all(isinstance(v, int | float) or getattr(v, "dtype", np.dtype("O")).kind == "f" for v in (alpha, Ts))
+    return alpha * Ts if known else None
 
 
 def _named(data, errors) -> str:

@@ -172,13 +172,12 @@ class Center(Vector):
 def center_of_mass(axes: str = "xyz", *, relative_to: str | None = None, weights: Weights = None) -> Task:
     """Control the robot's centre of mass, c = Σ mₖ cₖ / Σ mₖ over its links [m]; its target is hold([x, y]).
 
-    Masses come from `load_urdf` and `load_mjcf`. Links on joints that are no coordinates of the robot count at the
-    position that these loaders give them. The rows are Σ mₖ Jₖ / Σ mₖ (Sugihara, Nakamura & Inoue 2002, eq. 5), Jₖ
-    those of cₖ.
+    Masses come from `load_urdf` and `load_mjcf`, and so does the position of links on joints that are no coordinates.
+    The rows are Σ mₖ Jₖ / Σ mₖ (Sugihara, Nakamura & Inoue 2002, eq. 5), Jₖ those of cₖ.
 
     Args:
       axes: letters of "xyz" in that order: "xy" for balance.
-      relative_to: name of the tip, such as a foot, in whose frame the centre of mass is expressed; None: the base.
+      relative_to: name of the tip, such as a foot, in whose frame it is expressed; None: the base.
       weights: as for `position`.
     Raises: ArgumentError, when a law is made with it, for a robot without masses.
     """

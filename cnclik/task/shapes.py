@@ -1,7 +1,4 @@
-"""Shapes carried by links, and distances between them as coordinates of a task, for walls or control.
-
-A sphere or a capsule is the set of all points within a radius of a point or a segment.
-"""
+"""Shapes carried by links, all points within a radius of a point or segment, and distances between them."""
 
 from __future__ import annotations
 
@@ -105,7 +102,8 @@ def sphere(tip: str | None, radius: Number, center: Float[ArrayLike, " 3"] = (0.
       radius: [m].
       center: (3,) in the tip's frame [m].
     """
-    return Rounded(tip=tip, ends=errors.array("center", center, (3,))[None], radius=_radius(radius))
+    ends, radius = errors.array("center", center, (3,))[None], errors.number("radius", radius, at_least=0)
+    return Rounded(tip=tip, ends=ends, radius=leaf(radius))
 
 
 def capsule(tip: str | None, radius: Number, start: Float[ArrayLike, " 3"], end: Float[ArrayLike, " 3"]) -> Rounded:
@@ -118,7 +116,7 @@ def capsule(tip: str | None, radius: Number, start: Float[ArrayLike, " 3"], end:
     ends = [errors.array(name, value, (3,)) for name, value in (("start", start), ("end", end))]
     if all(map(errors.concrete, ends)) and not np.any(ends[0] != ends[1]):
         raise errors.fail("end", "be another point than `start`, or use ck.sphere", f"is {end!r}")
-    return Rounded(tip=tip, ends=xp_for(ends).stack(ends), radius=_radius(radius))
+    return Rounded(tip=tip, ends=xp_for(ends).stack(ends), radius=leaf(errors.number("radius", radius, at_least=0)))
 
 
 def distance(one: Rounded, other: Rounded) -> Task:
@@ -132,7 +130,3 @@ def distance(one: Rounded, other: Rounded) -> Task:
     if one.tip == other.tip:
         raise errors.fail("one", "be on another link than `other`", f"is on {one.tip or 'the base'}, too")
     return Task(parts=(Distance(one=one, other=other),))
-
-
-def _radius(radius):
-    return leaf(errors.number("radius", radius, at_least=0))

@@ -1,7 +1,6 @@
 """Task: what the loop controls, as parts; x are its coordinates, e = x_d − x their error.
 
-Of a pose they are positions along chosen axes [m], then components of the rotation vector [rad] that turns the tip
-into the desired orientation, in the base frame or another tip's. Tasks are joined by `&`, and given names by `stack`.
+Of a pose these are positions [m], then components of the rotation vector [rad] that turns the tip as desired.
 """
 
 from __future__ import annotations
@@ -199,9 +198,7 @@ def weighted(parts, each) -> Task:
 
 def spread(weights, m):
     """Return positive weights (m,), of one number for all, too."""
-    weights = errors.array("weights", weights, (), (m,))
-    if errors.concrete(weights) and not np.all(np.asarray(weights) > 0):
-        raise errors.fail("weights", "be positive", f"is {np.asarray(weights).tolist()}")
+    weights = errors.array("weights", weights, (), (m,), positive=True)
     return weights if weights.ndim else weights * np.ones(m)
 
 

@@ -16,6 +16,7 @@ import jax
 import matplotlib.animation
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.spatial import ConvexHull
 
 import cnclik as ck
 from cnclik.show.style import BLUE, GREEN, VERMILION
@@ -41,6 +42,8 @@ def place(q, tip):
 
 floor = place(q0, feet[0])[2] - 0.04
 corners = [place(q0, foot)[:2] + np.array([x, y]) for foot in feet for x in (-0.04, 0.11) for y in (-0.03, 0.03)]
+edges = ConvexHull(corners).equations  # outwards x + offset ≤ 0
+walls = [ck.wall(ck.center_of_mass("xy"), normal=-edge[:2], above=edge[2] + 0.01) for edge in edges]
 tasks = ck.stack(
     feet=ck.pose(tip=feet[0]) & ck.pose(tip=feet[1]),
     hand=ck.position(tip=hands[1]),
@@ -51,7 +54,7 @@ law = ck.Law(
     tasks,
     alpha={"feet": 20.0, "hand": 10.0, "rest": 0.5},
     inverse=ck.levels(["feet"], ["hand"], ["rest"], damping=(1e-3, 0.02, 0.3)),
-    limits=ck.bounded(walls=ck.support_polygon(corners, margin=0.01)),
+    limits=ck.bounded(walls=walls),
 )
 start = place(q0, hands[1])
 path = ck.circle(start + np.array([0.12, 0.0, -0.25]), 0.28, period=5.0, normal=[0, 1, 0])

@@ -103,6 +103,7 @@ def test_an_emergency_stop_is_no_error(tmp_path):
         (["--limits", "limits.csv"], 1, "Broken limits: 2. The worst: velocity of j1_cmd at 0.5 s."),
         (["--columns", "j1_pos", "--limits", "limits.csv"], 1, "Broken limits: 1. The worst: velocity of j1_pos"),
         (["--limits", "fr4"], 2, "Option `--limits` must be one of panda, fr3, FILE.csv, but is 'fr4'"),
+        (["--limits", "robot.urdf"], 2, "Option `--limits` must be one of panda, fr3, FILE.csv, but is 'robot.urdf'"),
         (["--tip", "hand"], 2, "Option `--tip` must come with ROBOT, but comes without."),
         (["panda"], 2, "must have a column for each of the chain's 7 joints, but has 1"),
         (["--limits", "panda"], 2, "must be a single number, but has 7"),

@@ -55,13 +55,6 @@ def test_what_was_asked_is_said(tmp_path, capsys):
     assert "8 samples (32 ms)" in said and "q0 = [0.5, 1] rad Target [0.3, 1.2] m" in said
 
 
-def test_joint_values_in_degrees_are_told_by_their_limits(tmp_path, capsys):
-    (tmp_path / "hand.urdf").write_text(HAND)
-    asked = ("--task", "xy", "--q0", 0.1, 90, 45, "--N", 1, "--no-figures", "--out", tmp_path)
-    said = shown(capsys, "solve", tmp_path / "hand.urdf", *asked)
-    assert "q0 = [0.1, 90, 45] rad, beyond the limits of j2, j3 (degrees are written with deg)" in said
-
-
 def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, capsys):
     way = tmp_path / "way.csv"
     way.write_text("time,x,y\n0,0.8,0.9\n2,0.5,1.1\n")

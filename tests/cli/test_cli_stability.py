@@ -65,12 +65,6 @@ def test_json_has_the_same_numbers(capsys):
         main(["stability", "--json", "--draw", "gains"])
 
 
-def test_unknown_drives_are_assumed_and_it_says_how_to_measure_them(capsys):
-    said = shown(capsys)
-    assert said.index("a lag of 100 ms, assumed") < said.index("cnclik diagnose LOG.csv --step") < said.index("largest")
-    assert "by explicit Euler largest" not in shown(capsys, "--method", "EE")
-
-
 def test_the_given_gain_is_judged(capsys):
     drive = ("--Ts", "10ms", "--delay", 3, "--lag", "20ms")
     gains = ck.gains(Ts=0.01, drive=ck.Drive(delay=3, lag=0.02))

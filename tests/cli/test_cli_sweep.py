@@ -9,7 +9,6 @@ import pytest
 from PIL import Image
 
 from cnclik.cli import main
-from cnclik.show import sweeps as pictures
 from cnclik.sweeps import open_sweep, run_spec, store
 from cnclik.writing import LIST
 from tests.specs import reaching
@@ -57,14 +56,6 @@ def copy(folder, tmp_path):
     return tmp_path / "copy"
 
 
-def left(argv, capsys):
-    """Exit code, stdout and stderr of a command that leaves with a code of its own."""
-    with pytest.raises(SystemExit) as exit_:
-        main([str(a) for a in argv])
-    said = capsys.readouterr()
-    return exit_.value.code, said.out, said.err
-
-
 def test_a_sweep_leaves_data_summary_and_figures(path, folder):
     assert sorted(p.name for p in folder.iterdir()) == sorted([LIST, "data.zarr", "summary.csv", "config.json", *EVERY])
     found, wanted = open_sweep(folder).load(), run_spec(path)
@@ -96,20 +87,6 @@ def other(tmp_path):
     file = tmp_path / "other.toml"
     file.write_text(TEXT + FIGURES)
     return file
-
-
-def test_a_figure_that_cannot_be_drawn_costs_nothing_else(other, copy, capsys, monkeypatch):
-    def broken(view, layout):
-        raise RuntimeError("no\npaint")
-
-    monkeypatch.setitem(pictures.KINDS, "heat", broken)
-    code, out, err = left(["sweep", other, "--out", copy], capsys)
-    assert code == 1 and err.strip().splitlines()[-1] == (
-        f"cnclik: Not drawn: heat_final_error.png (RuntimeError: no paint); the data are kept in {copy}, "
-        f"`cnclik sweep {other} --out {copy}` draws again."
-    )
-    assert {p.name for p in copy.iterdir()} == {LIST, "data.zarr", "summary.csv", "config.json", "at5.png"}
-    assert "summary.csv" in out
 
 
 def test_a_damaged_block_is_computed_again_and_figures_drawn_in_another_format(other, copy, capsys):

@@ -95,8 +95,7 @@ def test_a_function_with_a_batching_rule_of_its_own_is_read():
     check(lambda x, y: (fn(x, y), jax.vmap(fn)(x, y)), batch(3), batch(3, seed=1))
 
 
-@pytest.mark.parametrize("kind", [jax.grad, jax.jacfwd, jax.hessian])
-@pytest.mark.parametrize("fn", [smooth, nested])
+@pytest.mark.parametrize(("fn", "kind"), [(smooth, jax.grad), (smooth, jax.jacfwd), (nested, jax.hessian)])
 def test_derivatives(fn, kind):
     check(kind(fn, argnums=(0, 1)) if kind is jax.grad else kind(fn), batch(3), batch(7, 3, seed=1), ulps=500)
 

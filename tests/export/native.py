@@ -35,12 +35,15 @@ def native(of, reference=None, *, method=DEFAULT, stage=None, dtype="float64"):
     """A step of a law, or a chain's kinematics, as `ck.export.c` writes it, ready to be called."""
     names = Names("step", dtype)
     program = trace(Request(of, reference, named(method), stage or picard(5), names.dtype))
+    texts = {".h": header(program, names, []), ".c": source(program, names)}
     with tempfile.TemporaryDirectory() as folder:
-        for ending, text in ((".h", header(program, names, [])), (".c", source(program, names))):
+        for ending, text in texts.items():
             with open(f"{folder}/{names.name}{ending}", "w", encoding="utf-8") as file:
                 file.write(text)
         library = built(f"{folder}/{names.name}.c")
-    return Native(program, library, getattr(library, names.name), names.dtype)
+    made = Native(program, library, getattr(library, names.name), names.dtype)
+    made.header = texts[".h"]
+    return made
 
 
 class Native:

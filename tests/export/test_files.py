@@ -40,18 +40,18 @@ def of_q(fn):
 
 
 ODD = ck.planar_arm([1.0, 0.8], joint_names=["a*/ int x;", "/*/b??/\\"])
-SLIDES = screws([[0.1, 0.0, 0.2]] * 4, np.eye(3)[[0, 1, 2, 2]].tolist(), [0.3, 0.0, 0.8], kinds="PPPR")
+SLIDES = screws([[0.1, 0.0, 0.2]] * 3, np.eye(3)[[0, 2, 2]].tolist(), [0.3, 0.0, 0.8], kinds="PPR")
 
-FLOOR, WAY = ck.wall(ck.position("z"), above=-1.0), ck.waypoints([0.0, 0.5, 1.0], [[1.0, 1.0], [1.2, 1.0], [1.0, 1.3]])
+FLOOR = ck.wall(ck.position("z"), above=-1.0)
 
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
     """Exports of every kind."""
-    at = tmp_path_factory.mktemp("exports")
+    at, way = tmp_path_factory.mktemp("exports"), ck.waypoints([0.0, 0.5, 1.0], [[1.0, 1.0], [1.2, 1.0], [1.0, 1.3]])
     every = {
         "flat": dict(law=a_law(ck.position()), method="EE"),
-        "path": dict(method="TRAPEZOID", stage=ck.chord(2), reference=WAY),
+        "path": dict(method="TRAPEZOID", stage=ck.chord(2), reference=way),
         "single": dict(method="EXP-MIDPOINT", dtype="float32"),
         "slides": dict(law=a_law(ck.position("xz"), chain=SLIDES, limits=ck.bounded(walls=[FLOOR])), method="EE"),
         "panda": dict(law=ck.panda(), name="int32_t", dtype="float32"),

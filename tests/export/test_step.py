@@ -106,7 +106,9 @@ def given(held):
 
 
 def test_a_step_is_the_loops():
+    """And the header says in whose frame a relative target is."""
     step, q = native(LAW, method="EE"), Q + 0.1
+    assert f"/* desired position of apart in the frame of {RIGHT} [m] */" in step.header
     held = ck.hold_at(ROBOT, TASK, Q)
     for _ in range(3):
         found = step(q, Ts=0.01, **given(held))
@@ -118,9 +120,6 @@ def test_a_step_is_the_loops():
 
 
 def test_along_paths_the_vectors_agree(tmp_path):
-    """And the header says in whose frame a relative target is."""
-    header = (ck.export.c(LAW, out=tmp_path / "held", method="EE") / "clik_step.h").read_text()
-    assert f"/* desired position of apart in the frame of {RIGHT} [m] */" in header
     paths = ck.hold_at(ROBOT, TASK, Q, apart=ck.circle([0.2, 0.4], 0.05, period=1.0))
     folder = ck.export.c(LAW, paths, out=tmp_path / "made", method="EE")
     done = subprocess.run(BUILD.format(name="clik_step") + " && ./example", shell=True, cwd=folder)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.integrate import lanes as laid_out
 from cnclik.integrate.lanes import lanes
 from tests.refusals import refusals
 
@@ -36,10 +37,17 @@ def reference(size):
         return jax.jit(jax.vmap(_final))(_cases(size))
 
 
-@pytest.mark.parametrize("engine", [None, "xla", "plain"])
-def test_same_as_vmap(engine):
+@pytest.fixture
+def small(monkeypatch):
+    """Blocks of two tiles."""
+    monkeypatch.setattr(laid_out, "TILE", 4)
+    monkeypatch.setattr(laid_out, "LANES_PER_CALL", 8)
+
+
+@pytest.mark.parametrize("engine", [None, "xla"])
+def test_same_as_vmap(engine, small):
     with ck.use_engine(engine):
-        tiled = lanes(_final, tile=8, block=32, cores=2)
+        tiled = lanes(_final, cores=2)
         runs = [(tiled(_cases(size)), reference(size)) for size in (1, 33)]
     for found, wanted in runs:
         assert jax.tree.structure(found) == jax.tree.structure(wanted)
@@ -49,20 +57,20 @@ def test_same_as_vmap(engine):
 
 
 def test_under_jit_grad_and_vmap():
-    tiled, x = lanes(lambda x: jnp.sum(jnp.sin(x) * x), tile=2), jnp.linspace(0, 1, 15).reshape(5, 3)
+    tiled, x = lanes(lambda x: jnp.sum(jnp.sin(x) * x)), jnp.linspace(0, 1, 15).reshape(5, 3)
     slope = jax.jit(jax.grad(lambda x: jnp.sum(tiled(x))))
     np.testing.assert_allclose(slope(x), jnp.sin(x) + x * jnp.cos(x), rtol=1e-12)
     np.testing.assert_allclose(jax.vmap(tiled)(jnp.stack([x, x[::-1]]))[1], tiled(x)[::-1], rtol=1e-12)
 
 
-def test_one_program_for_all_blocks():
+def test_one_program_for_all_blocks(small):
     traces = []
 
     def counted(x):
         traces.append(1)
         return 2 * x
 
-    tiled = lanes(counted, tile=4, block=8, cores=2)
+    tiled = lanes(counted, cores=2)
     np.testing.assert_array_equal(tiled(jnp.arange(17.0)), 2 * np.arange(17.0))
     before = len(traces)
     np.testing.assert_array_equal(tiled(jnp.arange(1001.0)), 2 * np.arange(1001.0))
@@ -73,8 +81,7 @@ test_batches_that_do_not_fit = refusals(
     (lambda: lanes(max)(), "`args` must .*have no arrays"),
     (lambda: lanes(max)(jnp.ones(3), jnp.ones(4)), "`args` must .*have 3, 4"),
     (lambda: lanes(max)(jnp.ones(())), "`args` must .*have none"),
-    (lambda: lanes(max)(1.0), r"`args` must .*be arrays, such as jnp.asarray\(...\) of a list, but hold 1.0"),
-    (lambda: lanes(max)([[1.0, 2.0], [3.0, 4.0]]), "`args` must .*be arrays, such as jnp.asarray"),
+    (lambda: lanes(max)([[1.0, 2.0], [3.0, 4.0]]), "`args` must .*have none"),
     (lambda: lanes(max)(jnp.ones((0, 2))), "`args` must .*hold 0"),
 )
 
@@ -83,22 +90,23 @@ def test_several_devices():
     """Blocks go round all devices, and come back in order; in a process of its own, told to have three."""
     code = """
 import jax, numpy as np, cnclik as ck
+from cnclik.integrate import lanes
 from cnclik.engine.plan import use_engine
 assert len(jax.local_devices()) == 3
-seen = set()
+lanes.TILE, lanes.LANES_PER_CALL, seen = 4, 8, set()
 tell = lambda x: 2 * x
 x = np.arange(101.0, dtype=np.float32)
 before = jax.device_put
 jax.device_put = lambda part, device: seen.add(device.id) or before(part, device)
 with use_engine('xla'):
-    found = ck.lanes(tell, tile=4, block=8)(x)
+    found = ck.lanes(tell)(x)
 assert np.array_equal(found, 2 * x) and seen == {0, 1, 2}, seen
 """
     environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=3", "JAX_PLATFORMS": "cpu"}
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
 
 
-def test_large_results_and_tiles():
+def test_large_results_and_tiles(monkeypatch):
     """One large result that XLA would compute on several threads, and many small ones in one tile."""
 
     def curve(x):
@@ -109,6 +117,7 @@ def test_large_results_and_tiles():
 
     x = np.linspace(0, 1, 20_000)
     for fn, tile in ((curve, 64), (lambda x: jnp.sum(curve(x)[::100]), 1 << 14)):
+        monkeypatch.setattr(laid_out, "TILE", tile)
         with ck.use_engine("xla"):
-            found = ck.lanes(fn, tile=tile)(x)
+            found = ck.lanes(fn)(x)
         np.testing.assert_allclose(found[::97], jax.vmap(fn)(x[::97]), rtol=1e-13, atol=1e-13)

@@ -133,10 +133,11 @@ def test_single_precision():
 
 
 def test_derivatives_are_differences():
-    """Forward over reverse: of each draw the slope along a direction, and the second derivative."""
-    drawn, rng = draws("panda", 20, seed=6, null=0.3), np.random.default_rng(6)
-    toward = tuple(rng.normal(size=v.shape) * np.abs(v).max() for v in drawn[:5])
-    ends = rng.normal(size=drawn.low.shape)
+    """Forward over reverse: of each draw the slope along a direction, and the second derivative; of four joints."""
+    rows, velocity, *joints = draws("panda", 20, seed=6, null=0.3)[:5]
+    drawn, rng = (rows[:, :3, :4], velocity[:, :3], *(v[:, :4] for v in joints)), np.random.default_rng(6)
+    toward = tuple(rng.normal(size=v.shape) * np.abs(v).max() for v in drawn)
+    ends = rng.normal(size=drawn[-1].shape)
 
     @jax.jit
     @functools.partial(jax.vmap, in_axes=(None, 0, 0, 0))
@@ -148,7 +149,7 @@ def test_derivatives_are_differences():
 
         return value(s), *jax.jvp(jax.grad(value), (s,), (1.0,))
 
-    at, h = [slopes(s, drawn[:5], toward, ends) for s in (0.0, 1e-7, -1e-7)], 1e-7
+    at, h = [slopes(s, drawn, toward, ends) for s in (0.0, 1e-7, -1e-7)], 1e-7
     for k in (0, 1):
         wanted = np.asarray(at[1][k] - at[2][k]) / (2 * h)
         np.testing.assert_allclose(at[0][k + 1], wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max())

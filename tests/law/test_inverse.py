@@ -33,6 +33,7 @@ def matrices(m, n, seed=3):
 
 
 @jax.jit
+@ck.native
 def apply(inverse, j, v):
     factored = inverse(j, v)
     return factored.apply(v), factored.least

@@ -72,7 +72,7 @@ test_bad_input = refusals(
     (lambda: ck.Law(ARM, "xy", alpha=1.0), "`task` must be a Task, but is str"),
     (lambda: ck.Law(ARM, XY, alpha=[1, 2, 3]), "`alpha` must be a single number or have 2 numbers, but has 3"),
     (lambda: ck.Law(ARM, XY, alpha=np.nan), r"`alpha` must be finite, but is nan"),
-    (lambda: ck.Law(ARM, XY, alpha=-5), "`alpha` must not be negative, but is -5"),
+    (lambda: ck.Law(ARM, XY, alpha=-5), "`alpha` must be at least 0, but is -5"),
     (lambda: ck.Law(ARM, XY, alpha=np.eye(2)), r"`alpha` must have shape \(\) or \(2,\), but has"),
     (
         lambda: ck.Law(ARM, ck.pose("xyz", "z"), alpha=1),

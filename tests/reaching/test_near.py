@@ -6,10 +6,9 @@ import pytest
 import cnclik as ck
 from cnclik import ReachStatus
 from cnclik.reaching.starts import spans
+from cnclik.reaching.targets import wanted_at
 from tests.oracles import ARMS, robots
 from tests.reaching.test_reach import tips
-
-SIZES = (1e-4, 30.0, 1e4)
 
 
 def ends(chain):
@@ -60,7 +59,7 @@ def wrong(chain, count):
 
 @pytest.mark.parametrize("robot", [ck.ur5, ck.panda])
 def test_near_is_where_the_search_begins_and_not_where_it_ends(robot):
-    assert wrong(robot(), 300) == {}
+    assert wrong(robot(), 150) == {}
 
 
 @pytest.mark.slow
@@ -86,9 +85,9 @@ def sized(size):
     return ck.from_dh(lengths[0].tolist(), twist, lengths[1].tolist(), lower=[-3.0] * 6, upper=[3.0] * 6)
 
 
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", [1e-4, 1e4])
 def test_arms_of_any_size(size):
-    assert wrong(sized(size), 150) == {}
+    assert wrong(sized(size), 100) == {}
 
 
 def cornered(kind):
@@ -110,15 +109,15 @@ def at_limits(chain, count):
     return np.where(held, np.where(side, low, high), q)
 
 
-@pytest.mark.parametrize("kind", ["twisted", 1, 14])
+@pytest.mark.parametrize("kind", ["twisted", 14])
 def test_an_answer_with_several_joints_at_their_limits_is_found(kind):
     """It has hardly any posture about it from which a search within the limits arrives."""
     chain = cornered(kind)
-    q = at_limits(chain, 1000)
+    q = at_limits(chain, 500)
 
     def right(made):
         known = np.isin(made.status, [ReachStatus.SOLVED, ReachStatus.OUT_OF_BUDGET])
-        return known.all() and np.sum(~made.solved) <= 1 + len(q) // 1000
+        return known.all() and np.sum(~made.solved) <= 1
 
     rng, low, high = np.random.default_rng(2), np.array(chain.lower), np.array(chain.upper)
     asked = [{}, {"near": rng.uniform(low, high, q.shape)}, {"near": high}]
@@ -164,7 +163,7 @@ def bordering(size, count):
     return arm, where, away - outer, inner - away
 
 
-@pytest.mark.parametrize("size", [1e-4, 1.0, 1e4])
+@pytest.mark.parametrize("size", [1e-4, 1e4])
 def test_on_the_border_only_what_is_known_is_said(size):
     """By the law of cosines. Searches end there at errors of a billionth of the arm's length: those are near misses."""
     arm, where, beyond, inside = bordering(size, 40)
@@ -209,3 +208,18 @@ def test_an_answer_at_a_limit_stays_there_when_near_is_at_the_other():
     made = ck.reach(panda, targets, near=near)
     assert made.solved.sum() > 25
     np.testing.assert_allclose(tips(panda, made.q)[made.solved], targets[made.solved], atol=2e-6)
+
+
+def test_starts_cover_the_limits_and_one_turn_of_a_wide_joint():
+    """Of a joint that may turn further: the turn about 0 where the limits have it, else the nearest one."""
+    limits = np.array([(-1, 2), (-20, 20), (1, 9), (-12, -2), (-np.inf, 1), (5, np.inf), (-np.inf, np.inf)])
+    arm = ck.planar_arm([0.3] * len(limits))
+    low, high = spans(ck.replace(arm, lower=limits[:, 0], upper=limits[:, 1]))
+    pi = np.pi
+    np.testing.assert_allclose(low, [-1, -pi, 1, -2 - 2 * pi, 1 - 2 * pi, 5, -pi])
+    np.testing.assert_allclose(high, [2, pi, 1 + 2 * pi, -2, 1, 5 + 2 * pi, pi])
+
+
+def test_where_a_path_is_has_its_coordinates_in_the_order_of_space():
+    task = (ck.position("z") & ck.position("xy")).on(ck.panda())
+    assert wanted_at(ck.hold([0.3, 0.1, 0.2]), task, 0.0)[1][0].tolist() == [0.3, 0.1, 0.2]

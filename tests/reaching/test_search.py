@@ -63,8 +63,8 @@ def test_limits_may_be_an_array_within_a_program():
     arm, target = ck.planar_arm([1.0, 0.7]), np.array([0.5, 0.6])
     plain = ck.replace(arm, lower=(-1.9, -2.9), upper=(2.0, 2.9))
     arrays = ck.replace(arm, lower=jnp.array([-1.9, -2.9]), upper=np.array([2.0, 2.9]))
-    q, expected = (jax.jit(lambda t, c=c: ck.reach(c, t, task=ck.position("xy")).q)(target) for c in (arrays, plain))
-    np.testing.assert_allclose(q, expected, atol=1e-5)
+    q = jax.jit(lambda t: ck.reach(arrays, t, task=ck.position("xy")).q)(target)
+    np.testing.assert_allclose(q, ck.reach(plain, target, task=ck.position("xy")).q, atol=1e-5)
 
 
 def test_the_nearest_pose_is_where_a_descent_rests():

@@ -147,16 +147,6 @@ def test_every_method_has_a_line_of_its_own():
     assert style.line("EXP-EE")["markerfacecolor"] != style.line("EE")["markerfacecolor"]
 
 
-def test_the_papers_methods_differ_for_the_colour_blind():
-    """Viénot, Brettel & Mollon (1999): linear RGB as a person without L, or without M cones sees it."""
-    without_L = [[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]]
-    without_M = [[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]]
-    for seen in (without_L, without_M):
-        colors = [np.array(seen) @ (np.array(to_rgb(style.METHODS[m].color)) ** 2.2) for m in ("EE", "IE", "CN")]
-        for one, other in itertools.combinations(colors, 2):
-            assert np.linalg.norm(one - other) > 0.15
-
-
 @pytest.mark.parametrize("form", ["png", "pdf", "svg"])
 def test_saved_figures_are_reproducible_and_those_of_savefig(tmp_path, form):
     files = [tmp_path / f"{name}.{form}" for name in ("a", "b")]
@@ -196,24 +186,6 @@ def test_a_logarithmic_axis_of_few_decades_has_plain_numbers(values, labels):
     ]
     assert panel.get_xscale() == ("log" if labels else "linear")
     assert labels is None or set(labels) <= set(shown), shown
-    plt.close(figure)
-
-
-def test_geometric_axes():
-    for values in (np.geomspace(1e-3, 2, 9), [0.1, 0.2, 0.5, 1, 2, 5, 50], [1, 2, 4]):
-        assert style.geometric(values)
-    for values in (np.linspace(1, 2, 9), [1, 2], ["a", "b", "c"], [2, 2, 2], [0.0, 1.0, 2.0], range(1, 101)):
-        assert not style.geometric(values)
-
-
-def test_errors_at_rounding_stretch_no_axis_and_the_largest_is_below_its_top():
-    figure, panel = plt.subplots()
-    norm = np.append(np.full(5, 1e-17), np.linspace(1e-5, 1e-3, 95))  # five steps of dead time on the path
-    panel.plot(norm)
-    style.log_errors(panel, [norm])
-    low, high = panel.get_ylim()
-    assert 1e-6 < low < 1e-5 and 1.1e-3 < high < 2e-3
-    style.log_errors(panel, [np.zeros(3), np.full(3, np.nan)])  # nothing that a logarithm could show
     plt.close(figure)
 
 

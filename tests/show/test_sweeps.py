@@ -104,11 +104,6 @@ test_figures_that_cannot_be = refusals(
 )
 
 
-def test_a_figure_that_cannot_be_costs_the_other_nothing():
-    tables = [{"kind": "heat", "value": "error"}, {"kind": "slices"}]
-    assert [name[:6] for name in sweeps.drawings(data(**PLANE), tables)] == ["heat_e", "slices"]
-
-
 def test_defaults_follow_from_the_grid():
     one = defaults(data(alpha=np.geomspace(1, 40, 12), Ts=[0.01], limit=False))  # an axis of one value has no plane
     assert [(t["kind"], t["x"]) for t in one] == [("slices", "alpha")]
@@ -214,14 +209,6 @@ def test_curves_hold_the_datas_numbers():
     found.max_error[0] = 0.0  # an error of 0 lies on the axis
     panel = drawn(found, {"kind": "slices", "x": "Ts", "log": True}).axes[0]
     assert (panel.lines[0].get_ydata() == panel.get_ylim()[0]).all()
-
-
-def test_lines_that_are_not_methods_have_looks_of_their_own_and_may_be_empty():
-    found = data(stepper=["EE", "IE picard", "CN chord", "CN"], z=np.linspace(0.1, 3, 30), Ts=[0.1, 0.2])
-    lines = drawn(found, {"kind": "slices", "x": "z", "lines": "stepper"}).axes[0].lines
-    assert len({(line.get_marker()) for line in lines}) == len({line.get_color() for line in lines}) == 4
-    found["lost"] = np.inf * found.max_error  # where all diverged there is no line
-    FigureCanvasAgg(drawn(found, {"kind": "slices", "x": "z", "value": "lost"})).draw()
 
 
 def test_long_words_stay_within_the_figure_and_apart():

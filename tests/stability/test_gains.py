@@ -9,7 +9,6 @@ import subprocess
 import numpy as np
 import pytest
 import scipy.linalg
-import scipy.signal
 
 import cnclik as ck
 from cnclik.integrate.drive import Drive
@@ -93,6 +92,8 @@ def test_margins_are_those_of_scipy(name):
     if drive.feedback == "commanded":
         return
     loop, s = scalar_loop(drive, Ts), 0.02
+    import scipy.signal  # takes as long as half of the package, and is of no other test
+
     system = scipy.signal.StateSpace(loop.A, loop.b[:, None], loop.C[None], np.zeros((1, 1)), dt=Ts)
     w = np.geomspace(1e-3, np.pi, 50)
     _, response = scipy.signal.dfreqresp(system, w)
@@ -201,19 +202,6 @@ def test_no_random_loop_is_unstable_below_the_scalar_limit(seed):
         assert plant.radius(S, [drive] * len(M), Ts) < 1 + 1e-6, (i, method, passes, drive)
 
 
-def test_with_exact_inverses_the_scalar_limit_is_the_limit():
-    rng, Ts = np.random.default_rng(7), 0.01
-    for i in range(20):
-        jacobian, _ = plant.jacobian(plant.ROBOTS[i % len(plant.ROBOTS)], rng)
-        drive = drawn_drive(rng)
-        share = stable_share(drive, Ts)
-        if not 0 < share < 1:
-            continue
-        z = gain_removing(share, "EE")
-        P = np.linalg.pinv(jacobian) @ jacobian
-        assert plant.radius(np.eye(len(P)) - 1.02 * z * P, [drive] * len(P), Ts) > 1 + 1e-6
-
-
 def test_joints_with_different_drives():
     """One gain: the hull holds for every robot, and "the slowest is safe" does not."""
     rng, Ts = np.random.default_rng(3), 0.01
@@ -255,19 +243,6 @@ def test_a_filter_lowers_gains_but_not_of_the_target():
     assert recommended(cutoff=20.0) == pytest.approx(recommended(smoothing=kept), rel=1e-12)
     target = ck.gains(Ts=0.004, drive=Drive(delay=2.5, smoothing=0.9, smoothed="target")).response
     assert target.lag_fed_forward == pytest.approx(0.01 * 0 + 0.004 * 0.9 / 0.1, rel=1e-9)
-
-
-@pytest.mark.parametrize(("Ts", "late"), [(0.002, 2.5), (0.001, 5), (0.005, 2), (0.01, 2)])
-def test_the_loop_of_kuka_lbr_is_unstable_as_it_is_configured(Ts, late):
-    """z = 0.995 a sample, an average of 0.5, a lag of 40 ms, dead time of 5, 10 and 20 ms."""
-    drive = Drive(delay=late if Ts < 0.005 else {0.005: 2, 0.01: 2}[Ts], lag=0.04, smoothing=0.5)
-    assert ck.gains(Ts=Ts, drive=drive, method="EE").largest_stable * Ts < 0.995
-
-
-def test_unknown_drives_are_assumed():
-    found = ck.gains(Ts=0.004)
-    assert found.assumed and found.recommended == ck.gains(Ts=0.004, drive=Drive(delay=7.5, lag=0.1)).recommended
-    assert "assumed" in str(found) and ck.gains(Ts=1e-4).recommended > 0
 
 
 def test_a_table_holds_the_gains_of_its_cells():
@@ -363,7 +338,7 @@ def test_the_page_answers_as_gains_does(tmp_path):
     rng, loops, wanted = np.random.default_rng(20261129), [], []
     names = dict(natural_frequency="frequency", damping_ratio="damping")
     rest = dict(lag=0, frequency=0, damping=1, command="velocity", feedback="measured", smoothing=0, smoothed="error")
-    for drive, Ts, method, M in (drawn(rng) for _ in range(80)):
+    for drive, Ts, method, M in (drawn(rng) for _ in range(40)):
         found = ck.gains(Ts=Ts, drive=ck.Drive(**drive), method=method, M=M)
         elsewhere = {name: one.value or 0.0 for name, one in (found.elsewhere if len(loops) < 10 else {}).items()}
         did = (found.response.settling_time, found.response.overshoot) if found.response else (0, 0)

@@ -141,12 +141,6 @@ def test_a_spec_builds_the_loop_of_problem_from(reference):
     jax.tree.map(np.testing.assert_array_equal, wanted, built)
 
 
-def test_a_start_on_a_path_that_all_loops_share_is_searched_for_outside_of_their_program():
-    table, starts = {"robot": "planar:1,1", "task": "xy", "reference": "circle", "begin": "on-path"}, []
-    jax.jit(lambda alpha: starts.append(build(parse({"fixed": table}), {"alpha": alpha}).q0)).trace(2.0)
-    np.testing.assert_allclose(np.asarray(starts[0]), problem_from(**table).q0, atol=1e-9)
-
-
 def test_a_path_that_depends_on_an_axis_and_is_begun_on_compiles_a_program_for_each_value():
     """Its start is searched for before: traced, the search compiled for minutes."""
     table = {"robot": "planar:1,1", "task": "xy", "reference": "circle", "begin": "on-path", "N": 4}
@@ -183,12 +177,6 @@ def test_files_are_beside_the_spec_and_part_of_what_the_numbers_depend_on(tmp_pa
     before = spec.data()["files"]
     (tmp_path / "way.csv").write_text("0,1,1\n1,0,1.1\n")
     assert list(before) == ["way.csv"] and spec.data()["files"] != before
-
-
-def test_axes_have_the_units_of_their_options():
-    axes = {"damping": [0.1], "target": [[1.0, 1.0]], "q0": {"samples": 2}}
-    units = parse({"fixed": {"robot": "planar:1,1,1", "task": "xy"}, "axes": axes}).all_units()
-    assert [units[name] for name in axes] == ["m, 1", "m", "rad"]
 
 
 test_everything_wrong_is_said_in_one_line = refusals(

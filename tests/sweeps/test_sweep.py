@@ -242,7 +242,12 @@ def test_a_loop_beyond_the_linear_limit_is_not_safe():
     data = data.isel(case=0, drop=True).assign_coords(limit=0.3)
     (line,) = summary.best(data)
     assert line.startswith("3 of 4 loops are safe, ") and "alpha 5 1/s, Ts 0.01 s" in line
-    of_one = data.isel(Ts=1, drop=True).assign_attrs(spec=json.dumps({"fixed": {"Ts": 0.1}}))
+    for Ts in (0.1, "100 ms"):
+        of_one = data.isel(Ts=1, drop=True).assign_attrs(spec=json.dumps({"fixed": {"Ts": Ts}}))
+        assert summary.best(of_one)[0].startswith("1 of 2 loops is safe, ")
+    of_one = data.isel(Ts=0, drop=True).assign_coords(limit=0.03)  # Ts is 0.01 by default
     assert summary.best(of_one)[0].startswith("1 of 2 loops is safe, ")
+    axes = {"case": {"quick": {"Ts": 0.001, "N": 9}, "slow": {"Ts": 0.1, "N": 9}}}  # here the limit isn't compared
+    assert summary.best(of_one.assign_attrs(spec=json.dumps({"axes": axes})))[0].startswith("2 of 2 loops are safe, ")
     (unlimited,) = summary.best(data.assign_coords(limit=np.inf))
     assert unlimited.startswith("4 of 4 loops are safe") and unlimited.endswith("alpha 5 1/s, Ts 0.1 s.")

@@ -103,17 +103,11 @@ def test_robots_that_are_put_together_weigh_both():
     assert ck.join(ck.panda(), ck.panda(), prefix="b_").masses == ()
 
 
-def test_a_polygon_is_that_around_the_corners():
-    """In a loop: docs/stacks.md."""
-    assert len(ck.support_polygon([[-0.1, -0.1], [0.1, 0.1], [0.0, 0.0], [-0.1, 0.1], [0.1, -0.1]], margin=0.01)) == 4
-
-
 test_what_does_not_fit_is_refused = refusals(
     (lambda: ck.com(ck.panda(), np.zeros(7)), "`robot` must have masses, as of a URDF file .* but has none"),
     (lambda: ck.Law(ck.panda(), ck.center_of_mass("xy"), alpha=1.0), "`robot` must have masses"),
     (lambda: ck.center_of_mass("yx"), "`axes` must be letters"),
     (lambda: ck.center_of_mass(relative_to="foot").on(ck.load_urdf(G1, tip=ARMS[0])), "`tip` must be one of"),
-    (lambda: ck.support_polygon([[0, 0], [1, 1], [2, 2]]), "`corners` must be three or more"),
 )
 
 
