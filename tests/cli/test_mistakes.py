@@ -65,7 +65,6 @@ MISTAKES = [
     ("solve panda --out log.csv", "Option `--out` must be a folder that can be written into, but is 'log.csv'"),
     ("solve panda --q0 0 90 dog", "numbers, but is '0 90 dog' (units: m, cm, mm, um, rad, mrad, deg)"),
     ("reach panda", "One of TARGETS, --target X Y Z and --random N must be given, but there is none"),
-    ("reach panda t.csv --random 3", "are TARGETS and --random"),
     ("reach panda --task position --target 0.3 0.1", "`--target` must hold 3 numbers, x y z [m], but holds 2"),
     ("reach planar:1,1 text.txt", "`TARGETS` must end with .csv, but is 'text.txt'"),
     ("reach planar:1,1 --random 3 --out x.txt", "`--out` must end with .csv"),
