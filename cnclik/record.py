@@ -13,6 +13,7 @@ JAX loads when a record first meets it: methods, drives and gains are records th
 import dataclasses
 import functools
 import importlib
+import operator
 import sys
 from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 from typing import Annotated as Bool
@@ -50,12 +51,13 @@ def is_literal(value) -> bool:
     return written or (callable(value) and not dataclasses.is_dataclass(value))
 
 
+_is_none = functools.partial(operator.is_, None)  # without a frame of its own
 HOLE = object()  # marks, among the literals, the place of an array
 
 
 def partition(tree):
     """Split any tree into its arrays (a list) and its literals (hashable)."""
-    leaves, treedef = jax.tree.flatten(tree, is_leaf=lambda v: v is None)
+    leaves, treedef = jax.tree.flatten(tree, is_leaf=_is_none)
     values = tuple([v if is_literal(v) else HOLE for v in leaves])
     return [v for v, literal in zip(leaves, values, strict=True) if literal is HOLE], (treedef, values)
 
@@ -115,7 +117,7 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
         key = "_flat" if jax.config.jax_enable_x64 else "_flat32"
         found = self.__dict__.get(key)
         if found is None:
-            found = partition(tuple(getattr(self, n) for n in names))
+            found = partition(tuple(map(self.__dict__.__getitem__, names)))
             if key == "_flat32":  # arrays of its own: JAX remembers by identity what it made of a constant, as float32
                 found = [_own(v) if type(v) is np.ndarray else v for v in found[0]], found[1]
             object.__setattr__(self, key, found)

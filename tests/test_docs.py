@@ -25,7 +25,7 @@ ROOT = pathlib.Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 
 # Less of the same, by verb.
-FEWER = {"solve": {"--N": ["5"], "--no-figures": []}, "stability": {"--N": ["8"]}, "view": {"--N": ["5"]}}
+FEWER = {"solve": {"--N": ["5"], "--no-figures": []}, "map": {"--N": ["8"]}, "view": {"--N": ["5"]}}
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in
 ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py", "check": "tests/cli/test_cli_diagnose.py"}
 # Pages of many programs, or of humanoids: with `-m slow` only, as in a full build of the site.
@@ -83,7 +83,8 @@ def fewer(argv):
         rest = [SMALL if word in ("panda", "panda.urdf", "ur5", "robot.urdf") else word for word in rest]
         if SMALL in rest and "--tip" in rest:
             del rest[rest.index("--tip") : rest.index("--tip") + 2]
-    for option, few in FEWER.get(verb, {"--random": ["12"]} if "--random" in rest else {}).items():
+    less = {"--random": ["12"]} if "--random" in rest else FEWER.get("map" if "map" in rest else verb, {})
+    for option, few in less.items():
         if option in rest:
             del rest[(at := rest.index(option)) : at + 1 + len(few)]
         rest += [option, *few]

@@ -18,24 +18,21 @@ EVIDENCE = 45.0  # decrease of the information criterion from which on an oscill
 EVIDENCE_KNOWN = 20.0  # of a loop whose gain is known
 EVIDENCE_EXCITED = 90.0  # of one that does not decay as its mode does
 SURELY = 0.9  # share of the probability that loops which swing must have
-SURE, UNKNOWN = 0.95, 0.8  # confidence: of a free oscillation; without alpha or as of a path
+SURE, UNKNOWN = 0.98, 0.8  # confidence where alpha is known; where it is not, or a path may look alike
 OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
 TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
 SIZES = (0.85, 1.7)  # ratio of the sizes in the two halves of its energy of what neither decays nor grows
-TURNED = 27.0  # [degrees], by less than which an error passes its target by less than 0.2 %
-HALF = 179.0  # [degrees]: about an oblique axis a wrong sign of two directions
+TURNED, HALF = 27.0, 179.0  # [degrees]: by less no error passes its target by 0.2 %; or a sign, about an oblique axis
 SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
-STEADY = 0.1  # unrest of a sustained oscillation, at most
-HELD = 2.0  # change in all its periods, at most, of a sustained oscillation
+STEADY, HELD = 0.1, 2.0  # unrest of a sustained oscillation, at most; change in all its periods
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
 WIDE = 6.0  # ratio of the shares of the gain that likely drives tolerate: then the slower overshoot 10 %
 CLIPPED, SCALED = 3.0, 1.5  # ratio of a known gain to those that make the oscillation, of these to it, at most
 SETTLED, PASSED = 0.03, 0.05  # shares of a motion that are left in the end, and beyond its end, where nothing is wrong
 ALIKE, ABOVE = 0.1, 1.25  # relative difference of the periods of one mode; factor up to which a task's gain may stay
 UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at rest, and record until it rests again."
-STILL = "No column moves by more than some steps of its resolution."
-WRONG_SIGN = "Each step adds to the error: the sign of error, Jacobian or command is wrong. No gain helps."
+WRONG_SIGN = "It grows × {:.6g} per sample: the sign of error, Jacobian or command is wrong. No gain helps."
 DECAYS = "It decays without overshoot by this log: no smaller gain is needed."
 OPEN = "It oscillates, but the drives that may be behind it tolerate gains too different: record a step (--step)."
 SMALL = "alpha is too small to make it oscillate like this: counts of an encoder, noise or a path may."
@@ -79,8 +76,6 @@ class Diagnosis:
             words += f": period {in_samples(self.period, self.Ts)}, amplitude × {self.growth:.4g} per sample"
             words += f", as with {drive_in_words(self.drive, self.Ts)}"
             words += f". Use an alpha of {self.recommended_alpha:.4g} 1/s, {self.factor:.3g} times the present gain"
-        elif self.growth is not None:
-            words += f": the error grows × {self.growth:.6g} per sample"
         return f"{words}. {self.note}".strip()
 
 
@@ -115,7 +110,7 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
 def _seen(scaled, read, y, Ts, alpha) -> dict:
     """Fields of a `Diagnosis`. scaled: columns as `prepared` gives them; y: all columns, in one unit."""
     if not scaled.shape[1]:
-        return {"kind": CALM, "note": STILL}
+        return {"kind": CALM, "note": "No column moves by more than some steps of its resolution."}
     sure = UNKNOWN if alpha is None else SURE
     turn, z, steady = (loop.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None) or (np.zeros(3), 0, 0)
     main = int(np.argmax(np.abs(turn)))
@@ -129,25 +124,21 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
         note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
         return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=sure, note=note)
     if rate := loop.growth(scaled):
-        return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=sure, note=WRONG_SIGN)
+        return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=sure, note=WRONG_SIGN.format(rate))
     tail, x = max(len(scaled) // 5, 8), loop.main_parts(scaled)[:, 0]
     x = x - np.median(x[-tail:])
     x = x[(push := int(np.argmax(np.abs(x)))) :] / (x[push] or 1.0)
-    settled = len(x) > tail and np.std(x[-tail:]) < SETTLED and np.min(x) > -PASSED
-    if settled and alpha is None:
-        return {"kind": CALM, "note": DECAYS}
-    if read is not None and read.evidence > EVIDENCE_KNOWN:
-        if np.isfinite(read.period) and read.swings > SURELY:
-            fields = _swing(scaled[read.first : read.last], read, Ts, alpha)
-            if fields is not None:
-                return fields
-        elif read.swings < 1 - SURELY and read.rests:
-            return {"kind": CALM, "note": DECAYS}
+    soon = 4 * np.argmax(x < 0.5) < len(x)  # else it has not come to rest
+    settled = soon and len(x) > tail and np.std(x[-tail:]) < SETTLED and np.min(x) > -PASSED
+    sways = read is not None and read.evidence > EVIDENCE_KNOWN and np.isfinite(read.period) and read.swings > SURELY
+    if sways and not (settled and alpha is None) and (fields := _swing(scaled, read, Ts, alpha)):
+        return fields
     return {"kind": CALM, "note": DECAYS} if settled else {"kind": UNDECIDED, "note": UNFINISHED}
 
 
-def _swing(rows, read, Ts, alpha) -> dict | None:
+def _swing(scaled, read, Ts, alpha) -> dict | None:
     """Fields of a `Diagnosis` of a mode that swings; None where it may be something else."""
+    rows = scaled[read.first : read.last]
     mode, turns = read.mode, len(rows) / read.period
     faster, larger, unrest = loop.swept(loop.main_parts(rows), read.period)
     alike = SIZES[0] < larger < SIZES[1]
@@ -159,7 +150,11 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
     spread = np.sqrt(max(-8 * read.mode.real, 0.0) / len(rows)) / read.mode.imag  # of two halves that noise excites
     if turns > SWEPT and change < np.log(1.5) and alike and abs(np.log(faster)) > max(np.log(SWEEP), 2 * spread):
         return {"kind": UNDECIDED, "note": UNFINISHED}
-    drive, ends, present, least, most, wide = loop.drives_of(read, mode, Ts, alpha, clipped=change > 0 or held)
+    clipped = change > 0 or held
+    drive, ends, present, least, most, wide = loop.drives_of(read, mode, Ts, alpha, clipped=clipped)
+    if read.dead is not None and alpha is not None and alpha > SCALED * most:  # then there is a lag
+        read = read._replace(dead=None, lags=np.ones((2, 1)))
+        drive, ends, present, least, most, wide = loop.drives_of(read, mode, Ts, alpha, clipped=clipped)
     if alpha is not None and least > SCALED * alpha:
         return {"kind": CALM, "note": SMALL}
     if wide > WIDE if alpha is None else alpha > CLIPPED * most:
@@ -176,18 +171,18 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
     if read.dead is None:
         likely = " and ".join(drive_in_words(end, Ts) for end in ends)
         notes.append(f"Likely are drives between {likely}; a recorded step narrows them (--step).")
-    return {
-        "kind": SUSTAINED if held else GROWING if change > 0 else RINGING,
-        "cause": "drive" if read.dead is None else "dead time",
-        "period": read.period,
-        "growth": float(np.exp(mode.real)),
-        "interval": read.dead,
-        "drive": drive,
-        "recommended_alpha": best,
-        "factor": best / (alpha or present),
-        "confidence": UNKNOWN if lasts or alpha is None else SURE,
-        "note": " ".join([*notes, UNLESS]),
-    }
+    return dict(
+        kind=SUSTAINED if held else GROWING if change > 0 else RINGING,
+        cause="drive" if read.dead is None else "dead time",
+        period=read.period,
+        growth=float(np.exp(mode.real)),
+        interval=read.dead,
+        drive=drive,
+        recommended_alpha=best,
+        factor=best / (alpha or present),
+        confidence=UNKNOWN if held or turns < PERIODS or alpha is None else SURE,
+        note=" ".join([*notes, UNLESS]),
+    )
 
 
 @record

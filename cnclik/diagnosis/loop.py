@@ -4,9 +4,8 @@ An error that is fed back late obeys A(B) y = −z b(B) B^(d+1) y + C(B) w, z = 
 A is 1 − B, or (1 − B)(1 − aB) with a lag, and w is white. C is 1 for noise of the motion and A for noise of its
 measurement, which the loop feeds back. Dead time, lag and C are on a grid; z, and what a path adds, by least squares.
 
-Of these loops only the mode counts. Dead time alone and dead time with a lag may have the same mode; the
-gain that does not overshoot differs little among them, as all have the same phase where the loop swings. Turned frames
-and growth are what no smaller gain ends; a sweep is no loop.
+Of these loops only the mode counts. Many drives have it, from dead time alone to a lag alone; the share of its gain
+that each tolerates differs. Turned frames and growth are what no smaller gain ends; a sweep is no loop.
 """
 
 from __future__ import annotations
@@ -26,8 +25,7 @@ UNMODELLED = 0.005  # share of the steps that no linear loop explains
 VISIBLE = 0.1  # of an error, by which a loop passes its target if its gain is too large
 ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone, or a dead time, is better than others
 USUAL = 0.05  # [s] of a usual lag: larger ones count less
-KNOWN = 0.15  # relative deviation of the loop's gain from a known one
-SELDOM = 0.03  # how often a limit of torque or velocity lowers the gain, beside loops without one
+KNOWN, SELDOM = 0.15, 0.03  # relative deviation of the loop's gain from a known one; how often a limit lowers it
 TAIL, MIDDLE = 0.1, 0.6  # share of the likely drives beyond each end; where between the ends' shares that chosen is
 LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
@@ -48,7 +46,6 @@ class Loop(NamedTuple):
     swings: float  # share of the probability of loops that pass their target by VISIBLE
     dead: tuple | None  # ends of the rows of dead time, where that alone explains the log much better than any lag
     lags: np.ndarray  # (2, n) lags [rows] and how likely they are
-    rests: bool  # whether its steps are smaller in the end
     first: int  # rows that were read
     last: int
 
@@ -196,8 +193,6 @@ def read(y) -> Loop | None:
     odds = np.exp(-0.25 * (score - score.min()))
     likely = np.flatnonzero(odds > 1e-3)
     modes = np.array([np.log(slowest(*loops[:3, i]) + 1e-300) / m for i in likely])
-    power = np.sum(np.diff(y[first:last], axis=0) ** 2, 1)
-    rests = bool(np.sum(power[-len(power) // 3 :]) < np.sum(power[: len(power) // 3]))
     swings = modes.imag > 1e-9
     over = np.exp(np.pi * np.minimum(modes.real / np.where(swings, modes.imag, 1.0), 10)) * swings > VISIBLE
     least, interval = score[lag == 0].min(initial=np.inf), None
@@ -210,17 +205,15 @@ def read(y) -> Loop | None:
     lags = np.array([np.array(LAGS) * m, lags])
     mode = modes[np.argmax(odds[likely])]
     period = 2 * np.pi / mode.imag if mode.imag > 1e-9 else np.inf
-    return Loop(mode, period, float(none - score.min()), share, interval, lags, rests, first, last)
+    return Loop(mode, period, float(none - score.min()), share, interval, lags, first, last)
 
 
 def drives_of(read, mode, Ts, alpha, *, clipped) -> tuple:
     """Drives with dead time, and a lag, whose loop s + α e^(−Ds)/(τs + 1) has a mode s [1/row].
 
     Returns one that tolerates a share of its gain between those of the ends; the ends, between which most of the likely
-    ones are; the gain of its loop [1/s]; the least one of any and the larger one of the ends; and the ratio of the
-    shares. A known gain is that of all.
-    Args:
-      read: the `Loop`, whose mode it may be. alpha: its gain [1/s] or None; clipped: or more than that of the mode.
+    ones are; its loop's gain [1/s], the least of all, the larger one of the ends; and the ratio of the shares.
+    Args: alpha: the loop's gain [1/s] or None; clipped: or more than that of the mode.
     """
     s, step = mode / Ts, 2 * np.sinh(mode / 2) / Ts  # step: of the motion from sample to sample, s of slow modes
     whole = max((np.pi - np.angle(step)) / s.imag, 0.5 * Ts)  # of dead time alone, with half a sample
@@ -289,14 +282,13 @@ def turned(y, gain=None) -> tuple | None:
     alike = sorted((spin for spin in spins if spin[0] <= least + ALIKE), key=lambda spin: spin[1::-1])
     if not alike or alike[0][4] > LEFT or plain - alike[0][0] < BETTER:
         return None
-    if gain is not None:
-        alike.sort(key=lambda spin: abs(np.log(spin[2] / gain)))
+    best = alike[0] if gain is None else min(alike, key=lambda spin: abs(np.log(spin[2] / gain)))
     turn = np.eye(3)
-    turn[: len(alike[0][3]), : len(alike[0][3])] = alike[0][3]
+    turn[: len(best[3]), : len(best[3])] = best[3]
     wave = free(path_basis(len(y))[:, :2], y)
     sizes = [float(np.linalg.norm(wave[-i * (len(y) // 3) :][: len(y) // 3])) for i in (3, 2, 1)]
     steady = 1 / STEADY < sizes[2] / max(sizes[1], 1e-300) < STEADY and sizes[2] > 0.5 * sizes[0]
-    return Rotation.from_matrix(turn).as_rotvec(degrees=True), alike[0][2], steady
+    return Rotation.from_matrix(turn).as_rotvec(degrees=True), best[2], steady
 
 
 def growth(y) -> float:

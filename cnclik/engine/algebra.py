@@ -123,7 +123,7 @@ def _select(g, args, params, dtype):
     which, *cases = args
     if which.known:
         return cases[min(max(int(which.value), 0), len(cases) - 1)]
-    if all(c is cases[0] for c in cases):
+    if cases.count(cases[0]) == len(cases):
         return cases[0]
     return None
 

@@ -45,8 +45,8 @@ def sums(g, name, firsts, factors):
                 left, right = factors[i]
                 if k >= len(left) or (made[i] is not None and (left[k].nothing or right[k].nothing)):
                     continue
-                product = g.op("mul", left[k], right[k])
-                made[i] = product if made[i] is None else g.op(name, made[i], product)
+                product = g.apply("mul", (left[k], right[k]), right[k].dtype)
+                made[i] = product if made[i] is None else g.apply(name, (made[i], product), product.dtype)
     return made
 
 
@@ -81,6 +81,11 @@ def _pad(g, eqn, x, value):
     return [out]
 
 
+def _unstack(g, eqn, x):
+    axis = eqn.params["axis"]  # jax 0.11 has it for iterating over an array
+    return [np.squeeze(part, axis) for part in np.split(x, x.shape[axis], axis)]
+
+
 def _dot_general(g, eqn, x, y):
     out = eqn.outvars[0].aval
     return [contracted(g, x, y, *eqn.params["dimension_numbers"], out.dtype).reshape(out.shape)]
@@ -106,5 +111,6 @@ ARRAYS = {
     **dict.fromkeys(REDUCTIONS, _reduce),
     **dict.fromkeys(RUNNING, _running),
     **{"platform_index": _platform, "pad": _pad, "dot_general": _dot_general},
+    "unstack": _unstack,
     "split": lambda g, eqn, x: np.split(x, np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"]),
 }

@@ -49,17 +49,6 @@ _CALLS_NAMES = """
 CALLS = frozenset(_CALLS_NAMES.split())
 
 
-def moved(equation, inputs):
-    """The results of an equation that only moves data; None for any other."""
-    name, params = equation.primitive.name, equation.params
-    if name in MOVES:
-        return [MOVES[name](*inputs, **params)]
-    if name == "unstack":  # jax 0.11 has it for iterating over an array
-        x, axis = inputs[0], params["axis"]
-        return [np.squeeze(part, axis) for part in np.split(x, x.shape[axis], axis)]
-    return None
-
-
 def called(equation):
     of, params = equation.primitive, equation.params
     if of.name == "call_hi_primitive":  # jax 0.11 has it for `custom_root`

@@ -20,6 +20,9 @@ vector = {np.dtype(name): of for name, (of, _) in TYPES.items()}.__getitem__  # 
 scalar = {np.dtype(name): one for name, (_, one) in TYPES.items()}.__getitem__  # of a number in arguments and results
 
 
+DTYPES = frozenset(map(np.dtype, TYPES))
+
+
 def check_dtype(dtype) -> None:
     """Raise UnsupportedError if numbers of a type, or random keys, have no C form."""
     if not isinstance(dtype, np.dtype) or dtype.name not in TYPES:

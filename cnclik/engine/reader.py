@@ -14,10 +14,10 @@ from jax.interpreters import partial_eval
 
 from cnclik.engine import over_rows, stacks
 from cnclik.engine.arrays import ARRAYS, REDUCTIONS, RUNNING
-from cnclik.engine.cells import CALLS, MOVES, array_of, called, moved
+from cnclik.engine.cells import CALLS, MOVES, array_of, called
 from cnclik.engine.graph import Graph, Node, UnsupportedError
 from cnclik.engine.matrices import MATRICES
-from cnclik.engine.operations import NAMES, check_dtype
+from cnclik.engine.operations import DTYPES, NAMES, check_dtype
 from cnclik.engine.places import PLACES, out_of_whole
 from cnclik.engine.regions import REGIONS
 from cnclik.engine.stacks import Deep, Rows, is_cells
@@ -30,7 +30,7 @@ _SAME = {"add_any": "add"}
 ELEMENTWISE = NAMES - {"fmod"} | _SAME.keys() | {"clamp", "integer_pow", "one_minus_square", "lt_to", "le_to"}
 _PASSED_ON = frozenset(["optimization_barrier", "real", "pcast", "pvary", "name"])
 _PARAMS = {"integer_pow": "y", "round": "rounding_method"}
-_SIZE = operator.attrgetter("aval.size")
+_DTYPE, _SIZE = map(operator.attrgetter, ("aval.dtype", "aval.size"))
 RULES = ARRAYS | PLACES | MATRICES
 
 
@@ -85,8 +85,8 @@ class Reader:
             return list(inputs)
         if name == "bitcast_convert_type" and eqn.invars[0].aval.shape != eqn.outvars[0].aval.shape:
             raise UnsupportedError(f"`{name}` to numbers of another size has no C form")
-        for v in eqn.outvars:
-            check_dtype(v.aval.dtype)
+        if not DTYPES.issuperset(dtypes := list(map(_DTYPE, eqn.outvars))):
+            any(map(check_dtype, dtypes))
         whole = not {*map(type, inputs)} <= {np.ndarray}  # most equations are of cells alone
         if whole:
             inputs = [stacks.shallow(self.g, x) if isinstance(x, Deep) else x for x in inputs]
@@ -106,8 +106,8 @@ class Reader:
         return array_of([self.g.const(c.value, c.dtype, exact=True) if c.known else c for c in x.flat], x.shape)
 
     def _of_cells(self, name, eqn, cells):
-        if (found := moved(eqn, cells)) is not None:
-            return found
+        if name in MOVES:
+            return [MOVES[name](*cells, **eqn.params)]
         if name in ELEMENTWISE:
             return [self._elementwise(eqn, cells)]
         if name in RULES:

@@ -110,7 +110,7 @@ def as_rows(g, x, N) -> Rows | None:
 def _row(g, column, N):
     """N scalar nodes as one row."""
     first = column[0]
-    if all(c is first for c in column):
+    if set(map(id, column)) == {id(first)}:
         return first
     whole = first.args[0] if first.op == "index" else None
     if whole is not None and all(c.op == "index" and c.args[0] is whole for c in column):

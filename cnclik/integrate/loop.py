@@ -237,7 +237,12 @@ def advance(law: Law, reference, q, t, Ts, method, stage, offset=None) -> Step:
     if method.exponential:
         made = exponential_march(law, known, q, at, t, Ts, method, stage)
     else:
-        made = _plain_march(law, known, q, at, t, Ts, method, stage, offset)
+
+        def field(c, q):
+            return evaluate(law, known, t if type(c) is float and c == 0 else t + c * Ts, q, offset)
+
+        field, y = charted(law.chain, q, field), centre(law.chain, q)
+        made = march(field, y, Ts, method, stage, evaluate_at(law, q, at))
     y, qdot = made.q, made.qdot
     if law.limits is not None:
         y, qdot = within(law, centre(law.chain, q), qdot, Ts)
@@ -254,16 +259,6 @@ def advance(law: Law, reference, q, t, Ts, method, stage, offset=None) -> Step:
         status=status,
         walls=made.first.walls,
     )
-
-
-def _plain_march(law, reference, q, at, t, Ts, method, stage, offset):
-    """Make one step of a tableau over the law's field, from its observation at q and t."""
-
-    def field(c, q):
-        return evaluate(law, reference, t if type(c) is float and c == 0 else t + c * Ts, q, offset)
-
-    field, y = charted(law.chain, q, field), centre(law.chain, q)
-    return march(field, y, Ts, method, stage, evaluate_at(law, q, at))
 
 
 def summed(law, q, step, lost):

@@ -33,8 +33,6 @@ class Status(enum.IntFlag):
     WALLS_CONTRADICT = 1024  # no joint velocities within bounds keep all walls: see `Trajectory.walls`
 
 
-MISSED = 1e-4  # [m/s, rad/s] violation of a wall that exceeds rounding
-
 LOST = Status.NON_FINITE | Status.DIVERGED | Status.GROWING
 
 _REMEDY = {
@@ -98,9 +96,9 @@ def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
 
 
 def rounding_of(qdot):
-    """Return how much a wall may be missed by rounding, at joint velocities (..., n): (..., 1)."""
+    """Return how much a wall may be missed by rounding [m/s, rad/s], at joint velocities (..., n): (..., 1)."""
     xp = library(qdot)
-    return MISSED * (1 + xp.max(xp.abs(qdot), axis=-1, keepdims=True))
+    return 1e-4 * (1 + xp.max(xp.abs(qdot), axis=-1, keepdims=True))
 
 
 def flags(law, q, qdot, e, residual, tolerance, first):

@@ -98,8 +98,8 @@ class Face(NamedTuple):
     def softened(self, push=0.0) -> Face:
         """Return the face with the walls' softness on it, and their floors raised by multipliers.
 
-        A wall's softness is √eps·gᵀ H⁻¹ g. With √eps, its violation and the rounding where walls contradict each other
-        have the same size. If all joints that move a wall are locked, its softness is as by each joint alone.
+        It is √eps·gᵀ H⁻¹ g, so that violations and the rounding where walls contradict each other have the same size;
+        as by each joint alone if all joints that move a wall are locked.
         """
         of = self.of
         rows, joints = of.walls.rows, 1.0 / (jnp.sum(of.b * of.b, axis=0) + of.shift)
@@ -234,8 +234,7 @@ def descent(of: Problem, start, passes) -> Pass:
 def kept(of: Problem, start, passes) -> Pass:
     """Find the minimum behind walls: a descent, and more while walls are violated by more than their softness.
 
-    Each further descent uses the multipliers of the one before, and the softness on the face where it ended. The first
-    has no multipliers, and the softness within the bounds.
+    Each uses the multipliers of the one before, and the softness on the face where that ended; the first has none.
     """
     if not len(of.walls.floor):
         return descent(of, start, passes)

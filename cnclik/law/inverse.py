@@ -193,8 +193,7 @@ def tiny_shift(rows, share=ROUNDED):
 def least_squared(rows):
     """Return σ_min² of J, or up to m^(1/32) less where others are as small (6 % for six rows), with smooth derivatives.
 
-    1/tr((JJᵀ)⁻³²)^(1/32) by five products: no decomposition, whose derivatives have no meaning where values are equal.
-    It is 0 where it is below rounding.
+    It is 1/tr((JJᵀ)⁻³²)^(1/32), by products, as a decomposition has no derivatives at equal values; 0 below rounding.
     """
     wide, tiny = _wide(rows), tiny_shift(rows)
     lower = dense.cholesky(dense.shifted(wide @ wide.T, tiny))

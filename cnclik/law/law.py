@@ -209,11 +209,9 @@ def observe(law: Law, reference, t, q, offset=None) -> Observation:
 def newton(law: Law, rows, factored, velocity, f, h, k):
     """Return k + (I − h ∂f/∂q)⁻¹ (f − k) without the derivative of J#: a Newton step of an implicit stage, at any gain.
 
-    With the weighted rows B = WJ, A = B# and a posture's rate r, the slope is −A K B − r (I − A B). With s = 1 + h r
-    and C = (h/s)(K − r), (s I + h A (K − r) B)⁻¹ = (I − A (I + C B A)⁻¹ C B)/s, an m×m system. With a scalar gain and
-    no posture it is one factor and one solve, t = 1/(1 + h alpha): Bᵀ (B Bᵀ + t λ² I)⁻¹ (t v + (1 − t) B k).
-
-    Args: velocity: v, the weighted task velocity (m,). f: joint velocities (n,).
+    With the weighted rows B = WJ, task velocity v, A = B# and a posture's rate r, the slope is −A K B − r (I − A B).
+    With s = 1 + h r and C = (h/s)(K − r), (s I + h A (K − r) B)⁻¹ = (I − A (I + C B A)⁻¹ C B)/s, an m×m system. With a
+    scalar gain and no posture it is one solve, t = 1/(1 + h alpha): Bᵀ (B Bᵀ + t λ² I)⁻¹ (t v + (1 − t) B k).
     """
     exact, posture = isinstance(law.inverse, pseudoinverse), law.null_velocity
     plain = posture is None and law.limits is None and np.ndim(law.alpha) == 0
@@ -232,8 +230,8 @@ def newton(law: Law, rows, factored, velocity, f, h, k):
 def clamped(law: Law, e):
     """Return the error that the gain multiplies: lengths and angles shortened to `error_clamp` (Buss & Kim 2005).
 
-    At the edge of the workspace a damped step contracts while alpha·Ts·‖e‖·c < 2 λ², with c the curvature of x(q). With
-    the error clamped to E, λ² > alpha·Ts·E·c/2 lets it settle in front of any target, however far; unclamped it shakes.
+    At the edge of the workspace a damped step contracts while alpha·Ts·‖e‖·c < 2 λ², c the curvature of x(q). So with
+    λ² > alpha·Ts·E·c/2 and the error clamped to E it settles in front of any target; unclamped it shakes.
     """
     if law.error_clamp is None:
         return e

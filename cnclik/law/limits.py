@@ -60,9 +60,8 @@ def bounds(rate, chain, q):
 def within(law, q, qdot, Ts):
     """Return (q after a step, its velocity) of a law with limits: the requested step, but across no limit.
 
-    Each evaluation of the law respects the limits, but a combination of several, or too long a step, may not. All
-    velocities are scaled by the same factor. A joint that would cross a position limit stops on it, and one that is
-    outside does not move farther out.
+    A combination of evaluations, or too long a step, may not respect them. All velocities are scaled by one factor.
+    A joint that would cross a position limit stops on it, and one that is outside does not move farther out.
     """
     qdot, _ = slowed(law.chain, qdot)
     after = q + Ts * qdot

@@ -233,10 +233,7 @@ def _scalars(name, values, size=None) -> tuple:
 
 
 def offset_of(name, transform) -> Offset:
-    """Return the offset of a pose (see `poses.whole`), or of a position (3,); None is the identity.
-
-    Lists of numbers stay literal.
-    """
+    """Return the offset of a pose (see `poses.whole`), or a position (3,); None is the identity. Lists stay literal."""
     if transform is None or isinstance(transform, Offset):
         return transform or Offset()
     pose = poses.whole(name, transform)

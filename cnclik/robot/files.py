@@ -39,9 +39,7 @@ def is_mjcf(robot) -> bool:
 
 
 def file_of(name: str) -> str | None:
-    """Return the file for a name: itself if it is a file or ends like one, or that of a robot of robot_descriptions.
-
-    The package downloads it. None for anything else.
+    """Return the file for a name: itself, or that of robot_descriptions, which downloads it; None for any other name.
 
     Raises: ArgumentError if robot_descriptions knows the name but cannot load it.
     """

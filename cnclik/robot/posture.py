@@ -73,10 +73,7 @@ def start_posture(chain: Chain, *tasks):
 
 
 def evenly(count: int, n: int):
-    """Return points (count, n) that fill the unit cube evenly, the same on every machine; the first is its centre.
-
-    An additive sequence (Roberts 2018).
-    """
+    """Return points (count, n) that fill the unit cube evenly (Roberts 2018), the first its centre; always the same."""
     base = 2.0
     for _ in range(50):
         base = (1 + base) ** (1 / (n + 1))

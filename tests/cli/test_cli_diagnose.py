@@ -36,7 +36,7 @@ def log(tmp_path):
 def test_a_sentence_with_the_gain_that_would_end_it_and_its_numbers(log, tmp_path, capsys):
     said = answer(capsys, log, "--alpha", 150, "--out", tmp_path / "out")
     assert said.startswith("ringing: period 18.8") and "ms) of dead time. Use an alpha of " in said
-    assert "\nConfidence: 0.95.\n" in said and (tmp_path / "out" / "diagnose.png").stat().st_size > 10_000
+    assert "\nConfidence: 0.98.\n" in said and (tmp_path / "out" / "diagnose.png").stat().st_size > 10_000
     said = answer(capsys, log, "--Ts", 0.002, "--columns", "q2", "--json")
     assert said["kind"] == "ringing" and said["factor"] < 0.3
     assert said["drive"]["delay"] == pytest.approx(4, abs=0.01)

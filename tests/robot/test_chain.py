@@ -97,7 +97,7 @@ test_bad_input = refusals(
     (lambda: ck.planar_arm([1.0, -1.0]), r"`lengths\[1\]` must be at least 0, but is -1\."),
     (lambda: ck.from_dh([1.0], [0.0, 0.0], [0.0]), r"`alpha` must have shape \(1,\), but has shape \(2,\)\."),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], convention="Standard"), r"`convention` must be one of standard, modified"),
-    (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds="RX"), r"`kinds` must be 1 letters R or P, but is 'RX'\."),
+    (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds="X"), r"`kinds` must be 1 letters R or P, but is 'X'\."),
     (lambda: ck.with_base(ARM, np.eye(3)), r"`base` must be one pose: a 4×4 transform, .*, but is array"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], velocity_limit=[-1.0]), r"`velocity_limit` must be at least 0, but is -1"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], lower=[0.0, 0.0]), r"`lower` must have 1 number, but has 2\."),

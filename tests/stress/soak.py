@@ -61,6 +61,6 @@ def trials(seed, folder):
         everything(rng, folder)
         gc.collect()
         held.append(resident())
-        _, second, third = (np.median(part) for part in np.array_split(held, 3)) if k >= 30 else (0, 1, 0)
+        _, second, third = (np.median(part) for part in np.array_split(held, 3)) if k >= 48 else (0, 1, 0)
         grows = f"the medians of the last thirds of {k} rounds are {second:.0f} and {third:.0f} MiB"
         yield f"round {k}, {held[-1]:.0f} MiB", grows * bool(third > 1.05 * second)
