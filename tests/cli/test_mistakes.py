@@ -33,7 +33,6 @@ MISTAKES = [
     ("solve two.urdf --tip lefft", "Option `--tip` must be", "(did you mean 'left'?)."),
     ("solve panda --tip hand", "Option `--tip` must be left out for the robot 'panda', but is 'hand'."),
     ("solve panda -a 5", "Unknown option -a;"),
-    ("solve panda --figures=1", "Unknown option --figures=1; did you mean --figures?"),
     ("solve panda --alpa 5", "Unknown option --alpa; did you mean --alpha?"),
     ("solve panda --gain 5", "Unknown option --gain; did you mean --alpha?"),
     ("solve panda --dt 0.01", "Unknown option --dt; did you mean --Ts?"),
