@@ -19,7 +19,8 @@ os.environ.setdefault(
     "--xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
     + " --xla_cpu_use_fusion_emitters=false" * importlib.metadata.version("jaxlib").startswith("0.10."),
 )
-# The same of C: two thirds of the time of -O2. (The last optimisation of a line counts; Clang's -Og is -O1.)
+# The same of C: two thirds of the time of -O2. (The last optimisation of a line counts; Clang's -Og is -O1.) And where
+# runs are short, in the folders SHORT, -O0: less than half of it.
 os.environ.setdefault("CFLAGS", "-Og")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.path.join(tempfile.gettempdir(), f"cnclik-tests-{os.getuid()}"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
@@ -34,7 +35,7 @@ from cnclik.cache import give_back
 
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
-MOST_MEMORY = 3 << 29
+MOST_MEMORY, SHORT = 3 << 29, ("law", "integrate", "engine", "stability", "tuning", "measure", "show", "task")
 LONGEST = [
     *("combinations", "docs", "several", "near", "native", "reach", "programs", "primitives", "tune", "gradients"),
     *("bounded", "step", "ending", "cli_solve", "walls", "inverse", "files", "store", "gains", "cli", "bank", "bases"),
@@ -51,10 +52,13 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _forget_programs():
+def _forget_programs(request):
     """A module's big programs are of no use to the next: without this a worker keeps gigabytes of them."""
     gc.freeze()  # each sweep collects: what was there before is not looked through again, a seventh of the time
-    yield
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.parent.name in SHORT and os.environ["CFLAGS"] == "-Og":
+            patch.setenv("CFLAGS", "-O0")
+        yield
     if _memory() > MOST_MEMORY:
         gc.unfreeze()
         jax.clear_caches()

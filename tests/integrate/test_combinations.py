@@ -220,9 +220,8 @@ def run(inverse, limits, drive, q0, method, stage):
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize(("method", "stage"), SOLVERS, ids=str)
-def test_combinations_are_the_loop_written_apart(method, stage, dtype, monkeypatch):
+def test_combinations_are_the_loop_written_apart(method, stage, dtype):
     """All laws and drives of a method are one program: a third of the time goes into a compiler's start."""
-    monkeypatch.setenv("CFLAGS", "-O0")  # eight steps are not worth optimising; other tests have those that are
     rows = [row[2:5] for row in TABLE if row[0] == method and row[1] is stage and row[5] is dtype]
     q0 = Q0[: 3 if isinstance(stage, type(ck.picard(1))) else 2].astype(dtype)
     together = ck.native(lambda q0: [run(*row, q0, method, stage) for row in rows])
