@@ -25,7 +25,7 @@ def run(robot: str, *, out: str, dtype: Literal["double", "float"] = "double", o
     path = None if made.reference.still else made.reference
     c(made.law, path, out=out, method=made.method, stage=made.stage, dtype=dtype, overwrite=overwrite)
     where = "to targets that are arguments" if path is None else "along its path"
-    if made.drive is not None:
+    if made.drive is not None and not made.drive.prompt:
         print(f"Not part of the step: {drive_in_words(made.drive, made.Ts)}.")
     print(dataclasses.replace(made, drive=None), f"Step in {dtype}, {where}; Ts is an argument.", sep="\n")
     print(f"Wrote clik_step.h, clik_step.c, example.c and README.md to {out}/.")

@@ -156,7 +156,7 @@ def _swing(scaled, read, Ts, alpha) -> dict | None:
         read = read._replace(dead=None, lags=np.ones((2, 1)))
         drive, ends, present, least, most, wide = loop.drives_of(read, mode, Ts, alpha, clipped=clipped)
     if alpha is not None and least > SCALED * alpha:
-        return {"kind": CALM, "note": SMALL}
+        return {"kind": UNDECIDED if change > 0 else CALM, "note": SMALL}
     if wide > WIDE if alpha is None else alpha > CLIPPED * most:
         return {"kind": UNDECIDED, "note": OPEN}
     best = gains(Ts=Ts, drive=drive, method="EE").recommended

@@ -78,7 +78,11 @@ def _size(leaves) -> int:
     sizes = {np.shape(leaf)[:1] for leaf in leaves}  # of the numbers of a list ()
     if len(sizes) != 1 or sizes == {()}:
         found = sorted(str(s[0]) if s else "none" for s in sizes) or ["no arrays"]
-        raise errors.fail("args", "be arrays with one leading batch axis of the same size", f"have {', '.join(found)}")
+        raise errors.fail(
+            "args",
+            "be arrays, such as jnp.asarray(...) of a list, with one leading batch axis of the same size",
+            f"have {', '.join(found)}",
+        )
     ((size,),) = sizes
     if size == 0:
         raise errors.fail("args", "hold at least one lane", "hold 0")
@@ -115,7 +119,8 @@ def _blocks(in_jax, compiled, args, size, workers):
     calls = len(workers) * -(-size // (len(workers) * most))
     block = -(-size // (calls * TILE)) * TILE
     args = jax.tree.map(np.asarray, args)  # no copy on a CPU; slicing a jax.Array would compile
-    key = block, str(jax.tree.map(lambda x: (x.shape[1:], x.dtype), args))
+    leaves, treedef = jax.tree.flatten(args)
+    key = block, treedef, *[(x.shape[1:], x.dtype) for x in leaves]
 
     @as_here
     def run(start):

@@ -24,7 +24,7 @@ class Method:
       A: rows of the lower triangular coefficient matrix, row i with i + 1 entries; a last entry of 0 may be left out.
       b: weights of the slopes.
       c: times of the slopes, in units of Ts.
-      order: order of accuracy on a moving target, with exactly solved stages.
+      order: order of accuracy on a moving target, with exactly solved stages; taken as given.
       source: its publication.
       exponential: whether the error decays by its exact factor over the step, see `exponential`.
     """

@@ -57,8 +57,10 @@ def quaternions(rotations) -> np.ndarray:
     from scipy.spatial.transform import Rotation  # here, as most poses are not written
 
     rows = np.asarray(rotations, float)
-    turns = Rotation.from_matrix(rows.reshape(-1, 3, 3))
-    return turns.as_quat(canonical=True, scalar_first=True).reshape(*rows.shape[:-2], 4)
+    known = np.isfinite(rows).all((-2, -1), keepdims=True)
+    turns = Rotation.from_matrix(np.where(known, rows, np.eye(3)).reshape(-1, 3, 3))
+    found = turns.as_quat(canonical=True, scalar_first=True).reshape(*rows.shape[:-2], 4)
+    return np.where(known[..., 0], found, np.nan)
 
 
 def shape_of(value) -> tuple:

@@ -200,7 +200,7 @@ def _tip_of(tree: Tree, tip, base) -> str:
         return _link_of(tree, "tip", tip)
     candidates = tree.tips(base)
     if not candidates:
-        raise errors.fail("robot", f"have a joint that moves after {base!r}", f"{tree.file} has none")
+        raise errors.fail("path", f"have a joint that moves after {base!r}", f"{tree.file} has none")
     if len(candidates) != 1:
         raise errors.fail("tip", f"be given for {tree.file}, such as {', '.join(candidates[:8])}", "is not")
     return candidates[0]

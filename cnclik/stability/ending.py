@@ -197,7 +197,7 @@ class _Case:
         wanted = np.gradient(self.x[:, lengths] + self.e[:, lengths], self.Ts, axis=0)[self.last]
         e, speed = self.e[self.last][:, lengths], np.sum(wanted**2)
         lag = np.sum(wanted * e) / speed if speed else np.nan
-        explains = np.sum((e - lag * wanted) ** 2) <= (1 - EXPLAINED) * np.sum(e**2)
+        explains = speed > 0 and np.sum((e - lag * wanted) ** 2) <= (1 - EXPLAINED) * np.sum(e**2)
         return f", as a lag of {1e3 * lag:.3g} ms explains" if explains else ""
 
     def largest(self, instants=None, some=None) -> str:

@@ -38,7 +38,7 @@ def best(data) -> list:
         return []
     value = data[name].fillna(np.inf)
     checks = [np.isfinite(value), *(data[wrong] == 0 for wrong in _WRONG if wrong in data)]
-    checks += [data.stable == 1] if "stable" in data else []
+    checks += [data.stable != 0] if "stable" in data else []  # NaN: of a moving target
     if (z := _z(data)) is not None and "limit" in data.coords:
         checks.append(~(z >= data.limit))
     drawn = [d for d in value.dims if d == "seed" or (f"{d}_value" in data.coords and d not in _CHOSEN)]
@@ -64,7 +64,7 @@ def _z(data):
     varied = [name for table in tables if isinstance(table, dict) for name in table]  # by an axis of tables
     fixed = DEFAULTS | spec["fixed"] | dict.fromkeys(varied)
     alpha, Ts = (data[n] if n in data.dims else fixed[n] for n in ("alpha", "Ts"))
-    Ts = evaluate("Ts", Ts) if is_quantity(Ts) else Ts
+    alpha, Ts = (evaluate(n, v) if is_quantity(v) else v for n, v in (("alpha", alpha), ("Ts", Ts)))
     known = all(isinstance(v, int | float) or getattr(v, "dtype", np.dtype("O")).kind == "f" for v in (alpha, Ts))
     return alpha * Ts if known else None
 

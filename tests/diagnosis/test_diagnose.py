@@ -60,6 +60,13 @@ def test_growing_oscillations_of_any_speed(z, d):
     e = loop(z, d, N)
     found = diagnose(e[np.abs(e) < 1e12], TS, alpha=z / TS)
     assert found.kind in ("growing oscillation", "sustained oscillation") and ends(found, z, d), str(found)
+    assert diagnose(e[np.abs(e) < 1e12], TS, alpha=z / TS / 3).kind != "calm"  # a third of alpha is no reason to grow
+
+
+def test_a_slow_sensor_is_no_encoder_at_rest():
+    """Each measurement stands for ten rows."""
+    e = loop(stable(2), 2, 60) + 0.02 * np.random.default_rng(0).standard_normal(60)
+    assert diagnose(np.repeat(e, 10), TS / 10).kind != "calm"
 
 
 @pytest.mark.parametrize(("growth", "noise"), [(1.005, 0.0), (1.05, 1e-3), (1.3, 0.0), (2.0, 0.0), (3.0, 1e-3)])

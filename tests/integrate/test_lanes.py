@@ -56,6 +56,12 @@ def test_same_as_vmap(engine, small):
             np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
 
 
+def test_a_batch_may_be_of_runs(small):
+    with ck.use_engine("plain"):
+        runs = jax.vmap(lambda q: ck.solve(LAW, ck.hold([1.0, 0.5]), q, 0.1, 2, "EE"))(_cases(33)["q0"])
+        assert lanes(lambda run: jnp.linalg.svd(run.q, compute_uv=False))(runs).shape == (33, 2)
+
+
 def test_under_jit_grad_and_vmap():
     tiled, x = lanes(lambda x: jnp.sum(jnp.sin(x) * x)), jnp.linspace(0, 1, 15).reshape(5, 3)
     slope = jax.jit(jax.grad(lambda x: jnp.sum(tiled(x))))

@@ -194,6 +194,7 @@ test_bad_input = refusals(
     (lambda: ck.causal(5), "`reference` must be a Reference such as"),
     (lambda: jax.jit(lambda t: ck.waypoints(t, POINTS).curve(0.0))(TIMES), "`times` must be known numbers"),
     (lambda: ck.path(3), "`fn` must be a function of time, but is 3"),
+    (lambda: ck.path(lambda t: (jnp.ones(2), jnp.eye(3))).curve(0.0), "`fn` must give a position, or a pose"),
 )
 
 

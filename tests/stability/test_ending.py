@@ -140,6 +140,11 @@ def test_no_task_of_a_run_that_grows_or_still_moves_stays_or_follows(alpha, kind
     assert said.kind == kind and "stays" not in str(said) and "following" not in str(said), said
 
 
+def test_angles_have_no_lag_of_lengths():
+    law, path = ck.Law(FIVE, ck.joints(), alpha=2.0, feedforward=0.0), ck.path(lambda t: jax.numpy.full(5, 0.3) * t)
+    assert "nan" not in str(judge(law, path, np.zeros(5), 0.1, 40))
+
+
 def test_noise_is_no_swing():
     rng = np.random.default_rng(5)
     law, N, sigma = planar(5.0), 400, 1e-3

@@ -228,6 +228,7 @@ def test_the_best_loop_is_safe_and_judged_by_its_worst_start():
         "Case a: 3 of 4 loops are safe, the best by final_error (6 m): alpha 2 1/s, Ts 0.1 s.",
         "Case b: none of 4 loops is safe.",
     ]
+    assert summary.best(judged(stable=np.full(SHAPE, np.nan)))[1].startswith("Case b: 4 of 4")  # of moving targets
     lost = judged(final_error=np.full(SHAPE, np.nan), stable=np.zeros(SHAPE))
     assert summary.best(lost)[0] == "Case a: none of 4 loops is safe."
     ties = "(1 m; 4 loops tie): alpha 2 or 5 1/s, Ts 0.01 or 0.1 s."
