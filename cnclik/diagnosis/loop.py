@@ -70,8 +70,7 @@ def prepared(y):
     moves = (span > 1e-12 * np.abs(y).max(0)) & (span > 3.5 * step)
     steps = np.linalg.norm(np.diff(y, axis=0), axis=1)
     at = np.flatnonzero(steps > 1e-12 * np.abs(y).max())
-    # Most rows repeat, but not as of a slower sensor: these are counts, which a tip's error adds up over its joints.
-    if 0 < 2 * len(at) < len(steps) and np.ptp(np.diff(at, prepend=-1)) > 1:
+    if 0 < 2 * len(at) < len(steps) and np.ptp(np.diff(at, prepend=-1)) > 1:  # counts, not a slower sensor's rows
         moves &= np.linalg.norm(span) > COUNTS * np.median(steps[at])
     unit = np.maximum(np.maximum(0.1 * np.std(y, axis=0), noise_of(y)), step)
     return ((y - y[0]) / np.where(unit > 0, unit, 1.0))[:, moves]

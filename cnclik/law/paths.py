@@ -114,15 +114,10 @@ class Path:
         target, dtype = self.fn(t), jnp.result_type(t)
         if isinstance(target, Pose):
             return jnp.asarray(target.position, dtype), jnp.asarray(target.rotation, dtype)
-        try:
-            position = jnp.asarray(target, dtype)
-        except (TypeError, ValueError):
-            position = None
-        if position is None or position.ndim != 1:
+        if isinstance(target, (tuple, list)) and any(map(jnp.ndim, target)):
             must = "give a position, or a pose as ck.Pose(position=..., rotation=...)"
-            shape = "arrays" if position is None else f"shape {position.shape}"
-            raise errors.fail("fn", must, f"gives a {type(target).__name__} of {shape}")
-        return position, None
+            raise errors.fail("fn", must, f"gives a {type(target).__name__} of arrays")
+        return jnp.asarray(target, dtype), None
 
 
 @record
