@@ -52,12 +52,12 @@ def run(
     given, made = in_own_units(loop), None
     if json and draw:
         raise errors.fail("json", "be left out with --draw", "is given")
-    if draw:
-        errors.integer("N", given.get("N", 100), at_least=4, at_most=errors.MOST)
-        load_ahead("cnclik.show.style")
     alone = [name for name in given if name not in (*DRIVE, "Ts", "method", "M", "alpha")]
     if robot is None and alone and "map" not in draw:
         raise errors.fail(alone[0], "come with ROBOT or --draw map", "comes without")
+    if draw:
+        errors.integer("N", given.get("N", 100), at_least=4, at_most=errors.MOST)
+        load_ahead("cnclik.show.style")
     if robot is None:
         drive, known = {name: value for name, value in given.items() if name in DRIVE}, DEFAULTS | given
         how = {name: known[name] for name in ("Ts", "method", "M")}

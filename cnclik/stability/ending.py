@@ -161,14 +161,18 @@ class _Case:
         why = "its tasks contradict each other there" if self.law.task.tasks else "the run does not show by what"
         return Behaviour.HELD_BACK, f"{why}; {said} and stays", NO_REMEDY
 
+    def sizes(self, some):
+        """‖e‖ at each instant, of some coordinates; None: of all that count."""
+        return self.size if some is None else np.linalg.norm(self.e[:, some], axis=1)
+
     def arrived(self, some=None) -> bool:
         """Whether the last quarter's errors are a small part of the first one, rounding or noise."""
-        size = self.size if some is None else np.linalg.norm(self.e[:, some], axis=1)
+        size = self.sizes(some)
         return size[self.last].max() <= max(ARRIVED * size[0] * self.still, self.floor, NOISE * self.sigma)
 
     def shrinks(self, some=None) -> bool:
         """Whether the errors still become smaller."""
-        size = self.size if some is None else np.linalg.norm(self.e[:, some], axis=1)
+        size = self.sizes(some)
         return size[self.last].max() < STALL_RATIO * size[self.before].max()
 
     def grows(self) -> bool:
