@@ -12,11 +12,8 @@ from cnclik.quantities import in_samples
 from cnclik.record import ArrayLike, Float, record
 from cnclik.stability.gain import gains
 
-RINGING, SUSTAINED, GROWING = "ringing", "sustained oscillation", "growing oscillation"
-DIVERGING, SPIRAL, CALM, UNDECIDED = "growth without oscillation", "spiral", "calm", "undecided"
-EVIDENCE = 45.0  # decrease of the information criterion from which on an oscillation is a loop's
-EVIDENCE_KNOWN = 20.0  # of a loop whose gain is known
-EVIDENCE_EXCITED = 90.0  # of one that does not decay as its mode does
+CALM, UNDECIDED = "calm", "undecided"
+EVIDENCE, KNOWN, LASTS = 45.0, 20.0, 90.0  # decrease of the criterion, at least; with alpha; of what does not decay
 SURELY = 0.9  # share of the probability that loops which swing must have
 SURE, UNKNOWN = 0.98, 0.8  # confidence where alpha is known; where it is not, or a path may look alike
 OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
@@ -122,15 +119,16 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
         axis = "xyz"[main] if along else np.round(turn / angle, 2)
         note = f"Error and Jacobian are in frames turned by {abs(angle):.3g}° against each other about {axis}: no gain "
         note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
-        return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=sure, note=note)
+        return dict(kind="spiral", cause="turned frames", angle=angle, confidence=sure, note=note)
     if rate := loop.growth(scaled):
-        return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=sure, note=WRONG_SIGN.format(rate))
+        note = WRONG_SIGN.format(rate)
+        return dict(kind="growth without oscillation", cause="wrong sign", growth=rate, confidence=sure, note=note)
     tail, x = max(len(scaled) // 5, 8), loop.main_parts(scaled)[:, 0]
     x = x - np.median(x[-tail:])
     x = x[(push := int(np.argmax(np.abs(x)))) :] / (x[push] or 1.0)
     soon = 4 * np.argmax(x < 0.5) < len(x)  # else it has not come to rest
     settled = soon and len(x) > tail and np.std(x[-tail:]) < SETTLED and np.min(x) > -PASSED
-    sways = read is not None and read.evidence > EVIDENCE_KNOWN and np.isfinite(read.period) and read.swings > SURELY
+    sways = read is not None and read.evidence > KNOWN and np.isfinite(read.period) and read.swings > SURELY
     if sways and not (settled and alpha is None) and (fields := _swing(scaled, read, Ts, alpha)):
         return fields
     return {"kind": CALM, "note": DECAYS} if settled else {"kind": UNDECIDED, "note": UNFINISHED}
@@ -150,20 +148,14 @@ def _swing(scaled, read, Ts, alpha) -> dict | None:
     spread = (unrest > RESTLESS) * np.sqrt(max(-8 * read.mode.real, 0.0) / len(rows)) / read.mode.imag
     if turns > SWEPT and change < np.log(1.5) and alike and abs(np.log(faster)) > max(np.log(SWEEP), 2 * spread):
         return {"kind": UNDECIDED, "note": UNFINISHED}
-    clipped = change > 0 or held
-    drive, ends, present, least, most, wide = loop.drives_of(read, mode, Ts, alpha, clipped=clipped)
-    if read.dead is not None and alpha is not None and alpha > SCALED * most:  # then there is a lag
-        read = read._replace(dead=None, lags=np.ones((2, 1)))
-        drive, ends, present, least, most, wide = loop.drives_of(read, mode, Ts, alpha, clipped=clipped)
-    if alpha is not None and least > SCALED * alpha:
+    drive, ends, present, least, most, wide = loop.drives_of(read, mode, Ts, alpha, clipped=change > 0 or held)
+    best = gains(Ts=Ts, drive=drive, method="EE").recommended
+    if alpha is not None and (least > SCALED * alpha or (best > TOO_LARGE * alpha and not excited)):
         return {"kind": UNDECIDED if change > 0 else CALM, "note": SMALL}
     if wide > WIDE if alpha is None else alpha > CLIPPED * most:
         return {"kind": UNDECIDED, "note": OPEN}
-    best = gains(Ts=Ts, drive=drive, method="EE").recommended
-    if alpha is not None and best > TOO_LARGE * alpha and not excited:
-        return {"kind": CALM, "note": f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."}
     lasts = excited or held
-    needed = EVIDENCE_KNOWN if alpha is not None else EVIDENCE_EXCITED if lasts else EVIDENCE
+    needed = KNOWN if alpha is not None else LASTS if lasts else EVIDENCE
     overshoot = np.exp(0.5 * read.mode.real * read.period)
     if turns < (PERIODS if lasts else 1.5) or read.evidence < needed or (alpha is None and overshoot < OVERSHOOTS):
         return None
@@ -172,7 +164,7 @@ def _swing(scaled, read, Ts, alpha) -> dict | None:
         likely = " and ".join(drive_in_words(end, Ts) for end in ends)
         notes.append(f"Likely are drives between {likely}; a recorded step narrows them (--step).")
     return dict(
-        kind=SUSTAINED if held else GROWING if change > 0 else RINGING,
+        kind="sustained oscillation" if held else "growing oscillation" if change > 0 else "ringing",
         cause="drive" if read.dead is None else "dead time",
         period=read.period,
         growth=float(np.exp(mode.real)),
@@ -216,11 +208,9 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
     Raises: as `diagnose`, and for an alpha of a task that is not recorded.
     """
     errors.kind("signals", signals, dict)
-    known = {
-        errors.one_of("alpha", n, signals): float(errors.number("alpha", a, positive=True))
-        for n, a in errors.kind("alpha", alpha or {}, dict).items()
-    }
-    largest = max(known.values()) if len(known) == len(signals) else None  # no mode is faster
+    alpha = errors.kind("alpha", alpha or {}, dict)
+    known = {errors.one_of("alpha", n, signals): errors.number("alpha", a, positive=True) for n, a in alpha.items()}
+    largest = float(max(known.values())) if len(known) == len(signals) else None  # no mode is faster
     tasks: dict = {}
     for name, signal in signals.items():
         with errors.called("", name):
@@ -232,5 +222,4 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
     best = lead.recommended_alpha
     change = [name for name, gain in known.items() if gain > ABOVE * best]
     along = {name for name, found in tasks.items() if found.period and abs(found.period / lead.period - 1) < ALIKE}
-    change += sorted(along - known.keys())
-    return StackDiagnosis(tasks=tasks, change=tuple(change), recommended_alpha=best)
+    return StackDiagnosis(tasks=tasks, change=(*change, *sorted(along - known.keys())), recommended_alpha=best)

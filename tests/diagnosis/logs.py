@@ -193,5 +193,4 @@ def report(told) -> None:
 
 if __name__ == "__main__":
     words = {None: "no cause", True: "right", False: "wrong"}
-    each = answers(*map(int, sys.argv[1:]))
-    report((kind, log.alpha, found, words[right]) for kind, log, found, right in each)
+    report((kind, log.alpha, found, words[right]) for kind, log, found, right in answers(*map(int, sys.argv[1:])))
