@@ -41,8 +41,8 @@ def test_pure_dead_time_is_known_on_paper(d):
     """2 sin(π/(2(2d + 1))) and d^d/(d + 1)^(d + 1) (Levin & May 1976; Ladas, Philos & Sficas 1989)."""
     found = ck.gains(Ts=Ts, drive=Drive(delay=d), method="EE")
     assert found.largest_stable * Ts == pytest.approx(2 * np.sin(np.pi / (2 * (2 * d + 1))), rel=1e-12)
-    assert found.without_overshoot * Ts == pytest.approx(float(d) ** d / (d + 1) ** (d + 1), rel=1e-5)
-    assert found.recommended * Ts == pytest.approx((d + 1.0) ** (d + 1) / (d + 2.0) ** (d + 2), rel=1e-5)
+    assert found.without_overshoot * Ts == pytest.approx(float(d) ** d / (d + 1) ** (d + 1), rel=1e-12)
+    assert found.recommended * Ts == pytest.approx((d + 1.0) ** (d + 1) / (d + 2.0) ** (d + 2), rel=1e-12)
     exponential = ck.gains(Ts=Ts, drive=Drive(delay=d), method="EXP-EE")
     share = found.largest_stable * Ts
     assert exponential.largest_stable * Ts == pytest.approx(-np.log1p(-share) if share < 1 else np.inf, rel=1e-9)
