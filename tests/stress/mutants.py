@@ -125,7 +125,8 @@ def likely(file, line, rows) -> tuple[list, list]:
         names = next(filter(None, (contexts.get(k) for k in range(line, line - 9, -1))), ())  # of a statement's first
         if names:
             tests = sorted({f"{path}::{name.rpartition('.')[2]}" for name in names if name}) or [str(path)]
-            cases.append((seconds * len(tests) / len(coverage.measured_contexts()), str(path), tests))
+            elsewhere = "" in names and path.parts[1] != file.parts[1]  # a constant of the module
+            cases.append((elsewhere, seconds * len(tests) / len(coverage.measured_contexts()), str(path), tests))
     cases.sort()
     return [test for *_, tests in cases for test in tests], [path for _, path, _ in cases]
 
