@@ -52,8 +52,8 @@ def slow(session):
 @nox.session(default=False)
 def stress(session):
     """Hostile inputs, random programs, faults of the system, long runs; `-- mutants` puts faults into the package."""
-    session.install("-e", ".[test]")
     mutants = session.posargs[:1] == ["mutants"]
+    session.install("-e", ".[test]", *["coverage"] * mutants)
     session.run("python", "-m", "tests.stress" + ".mutants" * mutants, *session.posargs[mutants:])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.integrate.status import StepError
+from cnclik.integrate.status import StepError, rounding_of
 from cnclik.law.walls import Wall
 from cnclik.record import record
 from cnclik.robot.model import modelled
@@ -149,6 +149,7 @@ def test_contradicting_walls_are_told_in_the_status():
     missed = [-1.0, -1.0, 0.0, 0.0]  # half of 10/s times 0.2 m each; and the others hold
     np.testing.assert_allclose(run.walls[-1], missed, rtol=0.02, atol=1e-6)
     np.testing.assert_allclose(run.x[-1], [0.2, 0.225, 0.0], atol=1e-3)
+    np.testing.assert_allclose(rounding_of(np.array([[0.0, 0.0], [3.0, -9.0]])), [[1e-4], [1e-3]])  # by speed
     with pytest.raises(StepError, match="WALLS_CONTRADICT: move apart the walls"):
         ck.require_ok(run, allow=ck.Status.AT_LIMIT)
 
