@@ -19,7 +19,7 @@ WHOLE = ("-p", "xdist.plugin", "-n", "auto", "-o", "addopts=--disable-plugin-aut
 @nox.session
 def lint(session):
     """Style, form, types."""
-    session.install("-e", ".[test]")
+    session.install("-e", ".[test]", "--group", "lint")
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
     session.run("python", "tests/lint.py")
@@ -45,7 +45,7 @@ def lowest(session):
 @nox.session(default=False)
 def slow(session):
     """Tests of minutes."""
-    session.install("-e", ".[test,peers]")
+    session.install("-e", ".[test,peers]", "build")
     session.run("pytest", *WHOLE, *session.posargs)
 
 
