@@ -64,9 +64,7 @@ def test_a_late_measurement_of_a_known_path_costs_nothing():
         assert (np.abs(e[-20:]).max() < 1e-7) == settles
 
 
-@pytest.mark.parametrize(
-    "drive", [None, Drive(delay=1), Drive(measurement_delay=2)], ids=["ideal", "late", "measured late"]
-)
+@pytest.mark.parametrize("drive", [None, Drive(delay=1), Drive(measurement_delay=2)], ids=str)
 def test_noise_is_added_to_the_measured_error(drive):
     """On a slider, whose loop is linear: q[k+1] = q[k] + z (1 − q + n)[k−d], and the noise is that of its own step."""
     law, noise = ck.Law(SLIDER, ck.position("x"), alpha=10.0), np.sin(np.arange(30.0))[:, None]
