@@ -106,6 +106,12 @@ def test_it_is_the_least_behind_walls(damping):
     assert 0.1 < np.mean(np.abs(room) < 1e-9) < 0.9
 
 
+def test_a_wall_that_is_passed_and_that_no_joint_moves_changes_nothing():
+    drawn, walls, floor = problems("panda", 100, seed=1)
+    still, without = ~walls.any(axis=2), next(made_of(0.05, drawn, walls, floor))
+    np.testing.assert_allclose(next(made_of(0.05, drawn, walls, floor + 0.1 * still)), without, atol=1e-9)
+
+
 def inside(robot, q):
     """Distance from the tip to a sphere of 0.1 m around it."""
     return 0.1 - jnp.linalg.norm(ck.forward(robot, q).position)[None]

@@ -86,7 +86,7 @@ def test_a_solution_at_a_limit_is_one():
     chain = ck.replace(ck.planar_arm([1.0, 1.0]), lower=(-2.0, 0.0), upper=(2.0, 2.5))
     for bend in (0.0, 2.5):
         made = ck.reach(chain, tips(chain, np.array([[0.4, bend]]))[0, :3, 3], task=ck.position("xy"), solutions=3)
-        assert made.status.tolist() == [0, ReachStatus.NO_OTHER, ReachStatus.NO_OTHER]
+        assert made.status.tolist() == [0, 6, 6]  # NO_OTHER, as files hold it
 
 
 def test_solutions_of_two_links():

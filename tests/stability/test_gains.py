@@ -102,6 +102,11 @@ def test_margins_are_those_of_scipy(name):
     P = scipy.linalg.solve_discrete_lyapunov(loop.matrix(s), np.outer(noisy, noisy))
     found = ck.gains(Ts=Ts, drive=drive, method="EE").at(s / Ts)
     assert found.noise_gain == pytest.approx(np.sqrt(loop.q @ P @ loop.q), rel=1e-5)
+    assert found.velocity_noise_gain == pytest.approx(s / Ts * np.sqrt(1 + loop.C @ P @ loop.C), rel=1e-5)
+    if drive.feedback == "measured":  # an integrator: a ramp's error is its speed over the gain, 0 with feed-forward
+        assert found.lag == pytest.approx(Ts / s, rel=1e-5) and found.lag_fed_forward == 0
+        later = dataclasses.replace(drive, delay=drive.delay + found.delay_margin / Ts)
+        assert stable_share(later, Ts) == pytest.approx(s, rel=1e-4)
 
 
 @pytest.mark.parametrize("smoothed", ["", "error", "command"])
