@@ -19,8 +19,8 @@ os.environ.setdefault(
     "--xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
     + " --xla_cpu_use_fusion_emitters=false" * importlib.metadata.version("jaxlib").startswith("0.10."),
 )
-# The same of C (the last optimisation of a line counts): less than half the time of -O2, and where runs are long, in the
-# folders LONG, -Og, which takes two thirds. (Clang's -Og is -O1.)
+# The same of C (the last optimisation of a line counts): less than half the time of -O2; and in the folders LONG, where
+# runs are long, -Og, which takes two thirds. (Clang's -Og is -O1.)
 os.environ.setdefault("CFLAGS", "-O0")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.path.join(tempfile.gettempdir(), f"cnclik-tests-{os.getuid()}"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
