@@ -19,7 +19,7 @@ WHOLE = ("-p", "xdist.plugin", "-n", "auto", "-o", "addopts=--disable-plugin-aut
 @nox.session
 def lint(session):
     """Style, form, types."""
-    session.install("-e", ".[test]")
+    session.install("-e", ".[test]", "--group", "lint")
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
     session.run("python", "tests/lint.py")
@@ -45,15 +45,15 @@ def lowest(session):
 @nox.session(default=False)
 def slow(session):
     """Tests of minutes."""
-    session.install("-e", ".[test,peers]")
+    session.install("-e", ".[test,peers]", "build")
     session.run("pytest", *WHOLE, *session.posargs)
 
 
 @nox.session(default=False)
 def stress(session):
     """Hostile inputs, random programs, faults of the system, long runs; `-- mutants` puts faults into the package."""
-    session.install("-e", ".[test]")
     mutants = session.posargs[:1] == ["mutants"]
+    session.install("-e", ".[test]", *["coverage"] * mutants)
     session.run("python", "-m", "tests.stress" + ".mutants" * mutants, *session.posargs[mutants:])
 
 

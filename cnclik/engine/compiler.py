@@ -14,6 +14,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
+import threading
 import weakref
 
 from cnclik import errors
@@ -134,13 +135,17 @@ def _run(line, limit):
     with tempfile.TemporaryFile() as said:  # no pipe: what the compiler leaves running may hold one open
         quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": said}
         with subprocess.Popen(line, **quiet, start_new_session=True) as process:
+            alarm = threading.Timer(limit, os.killpg, (process.pid, signal.SIGKILL))
+            alarm.start()  # `wait` with a time limit would look only every 50 ms
             try:
-                process.wait(limit)
-            except subprocess.TimeoutExpired:
-                raise SlowError(f"the C compiler failed: nothing within {limit:g} s") from None
+                process.wait()
+                late = alarm.finished.is_set()
             finally:  # also after an interrupt
+                alarm.cancel()
                 if process.poll() is None:
                     os.killpg(process.pid, signal.SIGKILL)
+            if late:
+                raise SlowError(f"the C compiler failed: nothing within {limit:g} s")
         said.seek(0)
         return process.returncode, said.read().decode(errors="replace")
 

@@ -185,9 +185,6 @@ def descent(of: Problem, start, passes) -> Pass:
 
     def reached(qdot, slope, held, passes, push):
         goes = jnp.abs(of.clip(qdot + of.pushed(slope, push) * per_size) - qdot)
-        if walled:  # large forces of walls and task may cancel to rounding
-            pulls = jnp.abs(pull) + jnp.abs(hessian) @ jnp.abs(qdot) + jnp.abs(push) @ jnp.abs(of.walls.rows)
-            goes = goes - 64 * eps * per_size * pulls
         settled = jnp.max(goes) <= tolerance * (jnp.max(jnp.abs(qdot)) + eps * eps)
         return Pass(qdot, slope, held, settled, passes, push)
 
@@ -222,8 +219,8 @@ def descent(of: Problem, start, passes) -> Pass:
         push = jnp.where(fits, push, of.pushes(qdot))
         return reached(qdot, at.slope - bent, ~enough, at.passes + 1, push)
 
-    qdot, pull = of.clip(start), of.w @ of.b + of.shift * of.rest
-    slope = pull - hessian @ qdot
+    qdot = of.clip(start)
+    slope = of.w @ of.b + of.shift * of.rest - hessian @ qdot
     if not walled:
         qdot, slope = lax.fori_loop(0, _SWEEPS, lambda _, at: swept(of, hessian, *at), (qdot, slope))
     first = reached(qdot, slope, jnp.bool_(False), jnp.int32(0), of.pushes(qdot))

@@ -74,14 +74,15 @@ def _binned(chain, task) -> Starts:
     own, first, ordered = owners(task, chain), [], np.empty_like(postures)
     few = COUNT // 500
 
-    def poses(q):
-        at = At(modelled(chain), q)
-        each = [(at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to).reshape(9)) for aim in aims(task)]
-        return [jnp.concatenate(pose) for pose in each]
+    model = jax.tree.map(np.asarray, modelled(chain))  # NumPy answers sooner than XLA compiles
 
-    with jax.ensure_compile_time_eval(), jax.enable_x64(True):
-        parts = map(jax.jit(jax.vmap(poses)), np.split(postures.astype(float), 32))  # at once they need a gigabyte
-        each = [np.concatenate(pose) for pose in zip(*parts, strict=True)]
+    def poses(q):
+        at = At(model, q)
+        each = [(at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to)) for aim in aims(task)]
+        return [np.concatenate([place, turn.reshape(-1, 9)], -1) for place, turn in each]
+
+    parts = map(poses, np.split(postures.astype(float), 128))
+    each = [np.concatenate(pose) for pose in zip(*parts, strict=True)]
     for k, (aim, pose) in enumerate(zip(aims(task), each, strict=True)):
         axes = list(aim.linear)
         ends = np.partition(pose[:, axes], [few, COUNT - few], axis=0)[[few, COUNT - few]]

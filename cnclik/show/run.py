@@ -81,9 +81,8 @@ def overview(data, chain):
     joints.set_ylabel(f"joint value [{data.q.units}]")
     speed.set_ylabel("joint velocity over its limit" if limited else f"joint velocity [{data.qdot.units}]")
     near = [side for side in (-1, 1) if limited and np.nanmax(side * speeds, initial=0.0) > 0.5]
-    lines = [speed.axhline(side, **style.LIMIT) for side in near]
-    if lines:
-        speed.legend(lines[:1], ["limit"], loc="best", fontsize=6.5)
+    for side in near:
+        speed.axhline(side, **style.LIMIT)
     _draw_error(size, data)
     _draw_status(flags, data)
     for panel in (speed, flags):

@@ -60,7 +60,7 @@ OUTLINED = {  # a boundary over colours: black with a white edge, seen on any of
     "zorder": 4,
     "path_effects": [patheffects.withStroke(linewidth=2.4, foreground="white")],
 }
-LIMIT = {"color": WARNING, "linewidth": 0.8, "linestyle": (0, (4, 2)), "zorder": 2}
+LIMIT = {"color": GREY, "linewidth": 1.6, "zorder": 2}
 NOTE = {"fontsize": 6.5, "color": "0.35"}
 
 _RC = {

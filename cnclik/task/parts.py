@@ -86,9 +86,9 @@ class At:
         return xp.concatenate([v, turned @ (w - wo)], axis=-2)
 
 
-def places(axes) -> np.ndarray:
-    """Return indices of axes, letters of "xyz"."""
-    return np.array([AXES.index(a) for a in axes], int)
+def places(axes: str) -> slice:
+    """Return where axes are among "xyz"."""
+    return slice(AXES.index(axes[0]), AXES.index(axes[-1]) + 1, 2 if axes == "xz" else 1)
 
 
 class Vector:
@@ -180,7 +180,7 @@ class Orientation(Position):
         return robot.rotation(self.tip, self.to)
 
     def rows(self, robot: At):
-        return robot.jacobian(self.tip, self.to)[..., 3 + places(self.axes), :]
+        return robot.jacobian(self.tip, self.to)[..., 3:, :][..., places(self.axes), :]
 
     def motion(self, aim, rate):
         return spin(aim, rate)[places(self.axes)]

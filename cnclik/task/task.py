@@ -258,7 +258,7 @@ def _aims(task):
     for path, of in task.targets:
         if not all(hasattr(part, "axes") for part in of.parts):
             raise errors.fail("task", "be of positions and orientations of tips", f"has {', '.join(of.names)}")
-        axes = [[int(i) for p in of.parts if p.turns == turns for i in places(p.axes)] for turns in (False, True)]
+        axes = [[i for p in of.parts if p.turns == turns for i in range(3)[places(p.axes)]] for turns in (False, True)]
         if path in [aim.path for aim in every] or any(len({*some}) < len(some) for some in axes):
             raise errors.fail("task", "have each axis of a tip once, in one place", f"has {', '.join(of.names)}")
         tip, to = of.parts[0].tip, of.parts[0].to

@@ -8,6 +8,7 @@ from jax import lax
 
 import cnclik as ck
 from cnclik.engine.program import Program, lane_avals
+from cnclik.engine.reader import read, trace
 from cnclik.errors import ArgumentError
 from cnclik.threads import side_by_side
 from engine.compare import NEEDS_C, same
@@ -196,6 +197,8 @@ def test_effects_and_named_axes_are_those_of_the_function():
 def test_numbers_are_rounded_where_a_precision_is_asked_for():
     rounds, x = lambda x: jax.lax.reduce_precision(x, 8, 7), jnp.float32(1.2345678)
     assert ck.native(rounds)(x) == rounds(x) != x
+    whole = trace(lambda x: jax.lax.reduce_precision(x, 8, 23), [jax.typeof(x)])  # as jax.checkpoint has it
+    assert read(whole.closed)
 
 
 @pytest.mark.parametrize("dtype", [jnp.bfloat16, jnp.complex64])

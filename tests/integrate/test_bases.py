@@ -131,10 +131,7 @@ def test_rest_is_judged_in_the_chart():
 
 
 def test_what_a_free_base_has_not_is_one_line():
-    with pytest.raises(
-        ck.ArgumentError,
-        match="`chain` must have no free base and no ball joint, to be",
-    ):
+    with pytest.raises(ck.ArgumentError, match="`chain` must have no free base and no ball joint, to be"):
         ck.reach(ROBOT, np.eye(4), task=HAND)
     with pytest.raises(ck.ArgumentError, match="for, but name base_ry"):
         ck.Law(ROBOT, ck.joints(["j0", "base_ry"]), alpha=1.0)

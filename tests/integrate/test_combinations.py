@@ -39,7 +39,7 @@ DRIVES = [
     None,
     ck.Drive(lag=0.04, delay=1.4),
     ck.Drive(natural_frequency=25.0, damping_ratio=0.7, command="position", smoothing=0.3, smoothed="command"),
-    ck.Drive(delay=2, command="position", feedback="commanded"),
+    ck.Drive(delay=2, command="position", feedback="commanded", smoothing=0.3),
     ck.Drive(lag=0.03, command="position", feedback="rebased", delay=0.5),
     ck.Drive(lag=0.05, smoothing=0.4, smoothed="error"),
 ]

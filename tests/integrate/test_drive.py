@@ -64,9 +64,7 @@ def test_a_late_measurement_of_a_known_path_costs_nothing():
         assert (np.abs(e[-20:]).max() < 1e-7) == settles
 
 
-@pytest.mark.parametrize(
-    "drive", [None, Drive(delay=1), Drive(measurement_delay=2)], ids=["ideal", "late", "measured late"]
-)
+@pytest.mark.parametrize("drive", [None, Drive(delay=1), Drive(measurement_delay=2)], ids=str)
 def test_noise_is_added_to_the_measured_error(drive):
     """On a slider, whose loop is linear: q[k+1] = q[k] + z (1 − q + n)[k−d], and the noise is that of its own step."""
     law, noise = ck.Law(SLIDER, ck.position("x"), alpha=10.0), np.sin(np.arange(30.0))[:, None]
@@ -89,13 +87,11 @@ test_what_is_no_drive_is_refused = refusals(
     (lambda: Drive(delay=-1), "`delay` must be at least 0, but is -1"),
     (lambda: Drive(delay=101.5), "`delay` must be at most 101 samples"),
     (lambda: Drive(delay="34ms"), "`delay` must be a number, but is '34ms'"),
-    (lambda: Drive(delay="soon"), "but is 'soon'"),
     (lambda: Drive(lag="20ms"), "`lag` must be an array of real numbers, but is '20ms'"),
     (lambda: Drive(delay=150, measurement_delay=60), "a measurement included, but is 210"),
     (lambda: Drive(delay=jnp.nan), "`delay` must be finite"),
     (lambda: Drive(lag=0.1, natural_frequency=3.0), "`natural_frequency` must be left out where there is a lag"),
     (lambda: Drive(lag=1e-100), "`lag` must be at least 1e-12, but is 1e-100"),
-    (lambda: Drive(natural_frequency=1e-100), "`natural_frequency` must be at least 1e-12, but is 1e-100"),
     (lambda: Drive(lag=None), "`lag` must be an array of real numbers, but is None"),
     (lambda: Drive(natural_frequency=[]), "`natural_frequency` must be a number, or one per joint, but is empty"),
     (lambda: Drive(natural_frequency=0.0), "`natural_frequency` must be positive"),

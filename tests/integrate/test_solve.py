@@ -38,7 +38,6 @@ def test_trajectory():
     for q, x in zip(made.q, made.x, strict=True):
         close(ck.forward(ARM, q).position[:2], x, atol=1e-14)
     assert made.evaluations == N * 4
-    assert jnp.issubdtype(made.status.dtype, jnp.integer)
 
 
 def test_no_steps():
@@ -58,14 +57,10 @@ def test_step_by_step_is_solve():
         close(q, made.q[k + 1], atol=1e-14)
 
 
-CONSTANT = {"pinv": ck.pseudoinverse(), "damped": ck.damped(0.1)}
-
-
-@pytest.mark.parametrize(("inverse", "dtype"), [("pinv", np.float32), ("damped", np.float64)])
+@pytest.mark.parametrize(("inverse", "dtype"), [(ck.pseudoinverse(), np.float32), (ck.damped(0.1), np.float64)])
 def test_robots_with_a_constant_jacobian(inverse, dtype):
     """Literals all the way: an xy table, and a joint that the task does not see."""
     table = screws([[0.0] * 3] * 2, [[1.0, 0, 0], [0, 1.0, 0]], [0.0] * 3, kinds="PP")
-    inverse = CONSTANT[inverse]
     blind = screws([[0.0] * 3] * 2, [[0.0, 0, 1], [0, 0, 1.0]], [1.0, 0, 0], kinds="RP")
     for chain, task, moving in ((table, "xy", [0, 1]), (blind, "z", [1])):
         law = ck.Law(chain, ck.position(task), alpha=1.0, inverse=inverse)

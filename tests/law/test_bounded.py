@@ -120,6 +120,12 @@ def test_it_is_the_least_within_bounds(name, inverse):
     assert 0.5 < limited.mean() < 1
 
 
+def test_an_arm_in_millimetres_moves_as_in_metres():
+    rows, velocity, *rest = draws("panda", 100, seed=1)[:5]
+    small, whole = (BOUND["panda"](RATE, ck.damped(0.05 * s), (s * rows, s * velocity, *rest))[0] for s in (1e-3, 1.0))
+    np.testing.assert_allclose(small, whole, atol=1e-9)
+
+
 def test_single_precision():
     drawn = draws("panda", 100, seed=4)
     both = [tuple(v.astype(dtype) for v in drawn[:5]) for dtype in (np.float64, np.float32)]

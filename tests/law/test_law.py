@@ -8,13 +8,7 @@ import pytest
 import cnclik as ck
 from cnclik.law.feedback import per_step
 from tests.bank import told
-from tests.oracles import (
-    close,
-    damped_inverse,
-    planar_jacobian,
-    planar_law,
-    planar_position,
-)
+from tests.oracles import close, damped_inverse, planar_jacobian, planar_law, planar_position
 from tests.refusals import refusals
 
 LENGTHS = np.array([0.7, 1.1, 0.4])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.integrate.status import StepError
+from cnclik.integrate.status import StepError, rounding_of
 from cnclik.law.walls import Wall
 from cnclik.record import record
 from cnclik.robot.model import modelled
@@ -106,6 +106,12 @@ def test_it_is_the_least_behind_walls(damping):
     assert 0.1 < np.mean(np.abs(room) < 1e-9) < 0.9
 
 
+def test_a_wall_that_is_passed_and_that_no_joint_moves_changes_nothing():
+    drawn, walls, floor = problems("panda", 100, seed=1)
+    still, without = ~walls.any(axis=2), next(made_of(0.05, drawn, walls, floor))
+    np.testing.assert_allclose(next(made_of(0.05, drawn, walls, floor + 0.1 * still)), without, atol=1e-9)
+
+
 def inside(robot, q):
     """Distance from the tip to a sphere of 0.1 m around it."""
     return 0.1 - jnp.linalg.norm(ck.forward(robot, q).position)[None]
@@ -149,6 +155,7 @@ def test_contradicting_walls_are_told_in_the_status():
     missed = [-1.0, -1.0, 0.0, 0.0]  # half of 10/s times 0.2 m each; and the others hold
     np.testing.assert_allclose(run.walls[-1], missed, rtol=0.02, atol=1e-6)
     np.testing.assert_allclose(run.x[-1], [0.2, 0.225, 0.0], atol=1e-3)
+    np.testing.assert_allclose(rounding_of(np.array([[0.0, 0.0], [3.0, -9.0]])), [[1e-4], [1e-3]])  # by speed
     with pytest.raises(StepError, match="WALLS_CONTRADICT: move apart the walls"):
         ck.require_ok(run, allow=ck.Status.AT_LIMIT)
 

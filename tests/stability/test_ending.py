@@ -151,6 +151,9 @@ def test_noise_is_no_swing():
     run = ck.solve(law, NEAR, Q5, 0.02, N)
     noisy = ck.replace(run, e=np.asarray(run.e) + sigma * rng.standard_normal(np.shape(run.e)))
     assert verdict(law, NEAR, noisy, noise=sigma).kind == Behaviour.SETTLED
+    fast = ck.replace(law, chain=ck.replace(FIVE, velocity_limit=(2.0,) * 5))  # lost, and near no singularity
+    lost = verdict(fast, NEAR, ck.replace(run, e=np.nan * noisy.e))
+    assert lost.kind == Behaviour.GROWING and "not finite" in str(lost) and not lost.remedy
 
 
 def test_a_gain_above_the_largest_stable_one_is_said_of_a_calm_run():

@@ -92,9 +92,8 @@ def full(name, out, rng, seconds, wanted):
     """A file system (tmpfs, needs root) with less room than the results take: one line, and whole files alone."""
     size = max(int(sum(map(len, wanted.values())) / 1024 * rng.uniform(0, 1.1)), 8)
     out.mkdir()
-    if subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", f"size={size}k", "tmpfs", str(out)], capture_output=True
-    ).returncode:
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={size}k", "tmpfs", str(out)]
+    if subprocess.run(mount, capture_output=True).returncode:
         return ""  # not for this user
     try:
         code, said = ended(start(name, out))

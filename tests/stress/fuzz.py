@@ -106,12 +106,8 @@ def urdf(rng) -> str:
 
 def log(rng) -> str:
     """A loop that rings; stamps of any unit that jitter; words that recorders add."""
-    rows, width, unit, noise = (
-        any_of(rng, (0, 5, 16, 60, 200)),
-        int(rng.integers(1, 4)),
-        (1.0, 1e3, 1e9, -1.0),
-        (0, 1e-3),
-    )
+    rows, width = any_of(rng, (0, 5, 16, 60, 200)), int(rng.integers(1, 4))
+    unit, noise = (1.0, 1e3, 1e9, -1.0), (0, 1e-3)
     k = np.arange(rows)[:, None]
     values = rng.uniform(0.9, 1.1) ** k * np.cos(rng.uniform(0, np.pi) * k + rng.uniform(0, 6, (1, width)))
     values, clock = (x + any_of(rng, noise) * rng.normal(size=x.shape) for x in (values, 0.01 * k))

@@ -1,8 +1,9 @@
 """`python -m tests.stress.mutants`: which random one-line faults do the tests not see?
 
 Each mutant is a copy of the tree with one fault in `law`, `integrate`, `robot`, `engine`, `stability` or `reaching`: a
-sign, a comparison or a constant changed, + for -, a term or a condition dropped. Tests run until the first failure:
-those that name what the file defines, the room's other ones, then those of the rooms that stand on it.
+sign, a comparison or a constant changed, + for -, a term or a condition dropped. First each test file runs once under
+`coverage` (ten minutes, kept in a folder for temporary files while the tree stays as it is). The tests that run the
+fault's line then run until the first failure, the cheapest files first.
 
     python -m tests.stress.mutants --count 60                     # a new seed each day
     python -m tests.stress.mutants --seed 3 --first 17 --count 1  # one again; or the rest of a run that was ended
@@ -15,7 +16,7 @@ import ast
 import os
 import pathlib
 import random
-import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -23,14 +24,7 @@ import tempfile
 import time
 
 ROOT = pathlib.Path(__file__).parents[2]
-TESTS = {  # of each room: its own, then those that would see what its own don't
-    "law": ("law", "integrate", "task"),
-    "integrate": ("integrate", "stability", "law"),
-    "robot": ("robot", "task", "law", "integrate"),
-    "engine": ("engine", "integrate", "export", "reaching"),
-    "stability": ("stability", "integrate", "diagnosis"),
-    "reaching": ("reaching", "cli"),
-}
+ROOMS = ("law", "integrate", "robot", "engine", "stability", "reaching")
 COMPARED = (  # and the other way round
     *((ast.Lt, ast.GtE), (ast.Gt, ast.LtE), (ast.Lt, ast.LtE), (ast.Gt, ast.GtE)),
     *((ast.Eq, ast.NotEq), (ast.Is, ast.IsNot), (ast.In, ast.NotIn)),
@@ -38,6 +32,8 @@ COMPARED = (  # and the other way round
 OPERATED = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult}
 SWAPPED = {"minimum": "maximum", "maximum": "minimum", "min": "max", "max": "min", "sin": "cos", "cos": "sin"}
 TOLD = ("fail", "ArgumentError", "brief", "zip")  # messages are not faults, nor is what `strict` checks
+LIMIT = ("-o", "faulthandler_timeout=300", "-o", "faulthandler_exit_on_timeout=true")
+QUIET = ("-q", "-n", "0", "-p", "no:cacheprovider", *LIMIT)
 
 
 def other(node, draw):
@@ -66,19 +62,27 @@ def places(node):
     for field, value in ast.iter_fields(node):
         for k, below in enumerate(value if isinstance(value, list) else [value]):
             told = isinstance(below, ast.Call) and ast.unparse(below.func).rpartition(".")[2] in TOLD
+            told = told or getattr(below, "arg", None) == "unroll"  # which is about speed alone
             skipped = told or field in ("annotation", "returns", "decorator_list")
             if isinstance(below, ast.AST) and not skipped and not isinstance(below, ast.Raise | ast.JoinedStr):
                 yield node, field, k if isinstance(value, list) else None, below
                 yield from places(below)
 
 
+def tuned(path, line) -> bool:
+    """Whether a line of a module is numbers in capitals that say what runs as C, or how long is searched."""
+    numbers = ast.Name, ast.Tuple, ast.BinOp, ast.operator, ast.Constant, ast.expr_context, ast.Assign
+    every = all(isinstance(node, numbers) for node in ast.walk(line))
+    return every and (path.parts[-2] == "engine" or path.stem in ("descent", "starts"))
+
+
 def drawn(seed, number) -> tuple:
     """(file, line, fault in words, text of the whole file) of a number: a room by chance, then a place in it."""
     draw = random.Random(f"{seed} {number}")
-    paths = sorted((ROOT / "cnclik" / draw.choice([*TESTS])).rglob("*.py"))
+    paths = sorted((ROOT / "cnclik" / draw.choice(ROOMS)).rglob("*.py"))
     path = draw.choices(paths, [path.stat().st_size for path in paths])[0]
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    every = [*places(tree)]
+    every = [*places(ast.Module([line for line in tree.body if not tuned(path, line)], []))]
     draw.shuffle(every)
     for parent, field, k, node in every:
         if (fault := other(node, draw)) is not None:
@@ -91,30 +95,58 @@ def drawn(seed, number) -> tuple:
     return drawn(seed, f"{number}'")  # a file without a number in it
 
 
-def likely(file) -> list:
-    """Test files, those first that are likeliest to see a fault in a file of the package."""
-    defined, ranks = set(re.findall(r"^(?:def|class) (\w+)", (ROOT / file).read_text(encoding="utf-8"), re.M)), {}
-    for place, room in enumerate(TESTS[file.parts[1]]):
-        for path in sorted((ROOT / "tests" / room).glob("test_*.py")):
-            names = defined & set(re.findall(r"\w+", path.read_text(encoding="utf-8")))
-            ranks[str(path.relative_to(ROOT))] = path.stem != f"test_{file.stem}", place, -len(names)
-    return sorted(ranks, key=ranks.get)
+def met() -> list:
+    """(test file, seconds, its coverage) of each test file."""
+    from coverage import CoverageData  # `pip install coverage`; no other test needs it
+
+    paths, rows = sorted(ROOT.glob("tests/**/test_*.py")), []
+    newest = max(path.stat().st_mtime_ns for path in (*ROOT.glob("cnclik/**/*.py"), *paths))
+    kept = pathlib.Path(tempfile.gettempdir(), f"cnclik-met-{newest}")
+    kept.mkdir(exist_ok=True)
+    settings, part = kept / "settings", kept / "part"
+    settings.write_text(f"[run]\nsource = {ROOT / 'cnclik'}\ndynamic_context = test_function\n")
+    for path in (path.relative_to(ROOT) for path in paths if path.parent.name != "stress"):
+        name, begun = ".".join(path.parts), time.monotonic()
+        if not [*kept.glob(f"{name} *")]:
+            run = [sys.executable, "-m", "coverage", "run", f"--rcfile={settings}", f"--data-file={part}"]
+            subprocess.run([*run, "-m", "pytest", *QUIET, path], cwd=ROOT)
+            part.rename(kept / f"{name} {time.monotonic() - begun:.0f}")
+        (data,) = kept.glob(f"{name} *")
+        rows.append((path, int(data.name.split()[1]), CoverageData(str(data))))
+        rows[-1][2].read()
+    return rows
 
 
-def tested(file, text, folder, seconds) -> str:
+def likely(file, line, rows) -> tuple[list, list]:
+    """The tests that run a line, and their files, the cheapest first: a test may find traced what one before it ran."""
+    cases = []
+    for path, seconds, coverage in rows:
+        contexts = coverage.contexts_by_lineno(str(ROOT / file))
+        names = next(filter(None, (contexts.get(k) for k in range(line, line - 9, -1))), ())  # of a statement's first
+        if names:
+            tests = sorted({f"{path}::{name.rpartition('.')[2]}" for name in names if name}) or [str(path)]
+            elsewhere = "" in names and path.parts[1] != file.parts[1]  # a constant of the module
+            cases.append((elsewhere, seconds * len(tests) / len(coverage.measured_contexts()), str(path), tests))
+    cases.sort()
+    return [test for *_, tests in cases for test in tests], [path for _, path, _ in cases]
+
+
+def tested(file, line, text, folder, seconds, rows) -> str:
     """The first test that sees another text of a file, or that none does."""
     target = pathlib.Path(folder, file)
     kept = target.read_text(encoding="utf-8")
     target.write_text(text, encoding="utf-8")
-    options = "-x -q -n 0 -p no:cacheprovider -o faulthandler_timeout=300 -o faulthandler_exit_on_timeout=true"
-    line = f"ulimit -t {seconds}; exec {sys.executable} -m pytest {options} {' '.join(likely(file))}"
-    own = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": ""}
-    done = subprocess.run(line, shell=True, cwd=folder, env=own, capture_output=True, text=True)
+    own, said = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": ""}, "SURVIVES"
+    for some in filter(None, likely(file, line, rows)):
+        run = f"ulimit -t {seconds}; exec {shlex.join([sys.executable, '-m', 'pytest', '-x', *QUIET, *some])}"
+        done = subprocess.run(run, shell=True, cwd=folder, env=own, capture_output=True, text=True)
+        if done.returncode:
+            lines = [row for row in done.stdout.splitlines() if row.startswith(("FAILED", "ERROR"))]
+            lines += [f"exit code {done.returncode}: {done.stderr[-300:]}"]
+            said = f"NOT SEEN in {seconds} s" if done.returncode in (-9, -24) else lines[0].partition(" - ")[0]
+            break
     target.write_text(kept, encoding="utf-8")
-    if done.returncode in (0, -9, -24):
-        return "SURVIVES" if done.returncode == 0 else f"NOT SEEN in {seconds} s"
-    lines = [line.partition(" - ")[0] for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return [*lines, f"exit code {done.returncode}: {done.stderr[-300:]}"][0]
+    return said
 
 
 def main():
@@ -122,15 +154,16 @@ def main():
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--first", type=int, default=0, help="number of the first")
     parser.add_argument("--seed", default=time.strftime("%Y-%m-%d"), help="by default the date")
-    parser.add_argument("--seconds", type=int, default=600, help="of the processor, for the tests of a mutant")
+    parser.add_argument("--seconds", type=int, default=100, help="of the processor, for the tests of a mutant")
     args = parser.parse_args()
     survived = 0
     with tempfile.TemporaryDirectory() as folder:
         shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(".*", "results", "site"), dirs_exist_ok=True)
+        rows = met()
         for number in range(args.first, args.first + args.count):
             (file, line, fault, text), begun = drawn(args.seed, number), time.monotonic()
             print(f"{number}: {file}:{line}\n    {fault}", flush=True)
-            seen = tested(file, text, folder, args.seconds)
+            seen = tested(file, line, text, folder, args.seconds, rows)
             survived += not seen.startswith(("FAILED", "ERROR", "exit"))
             print(f"  {seen} ({time.monotonic() - begun:.0f} s)", flush=True)
     print(f"Seed {args.seed}: {args.count - survived} of {args.count} faults were seen.")

@@ -25,8 +25,7 @@ def test_the_package_works_from_its_wheel(tmp_path):
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {str(p.relative_to(ROOT)) for p in (ROOT / "cnclik").rglob("*.*[!c]")} <= names
     assert all(name.startswith(("cnclik/", "cnclik-")) for name in names)
-    subprocess.run(
-        [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "-t", tmp_path / "site", wheel], check=True
-    )
+    install = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "-t", tmp_path / "site"]
+    subprocess.run([*install, wheel], check=True)
     said = subprocess.check_output([sys.executable, "-I", "-c", CODE], cwd=tmp_path, text=True)
     assert said.startswith(str(tmp_path)) and "(21, 2)" in said and "recommended" in said
