@@ -323,7 +323,7 @@ def growth(y) -> float:
         return 0.0
     rate = float(abs(slowest(*wrong[:3, np.argmin(wrong[3])])) ** (1 / m))
     grown = np.diff(np.log(np.maximum(steps, 1e-3 * steps[3]))) / (N / 4 * np.log(rate))  # over what the mode grows
-    return rate if steps[3] > FASTER * steps[2] or np.all(np.abs(grown[1:] - 1) < EVEN) else 0.0
+    return rate if (steps[3] > FASTER * steps[2] and grown[2] > 0.5) or np.all(np.abs(grown[1:] - 1) < EVEN) else 0.0
 
 
 def swept(y, period) -> tuple[float, float, float]:

@@ -35,7 +35,6 @@ ROBOTS = {  # file below example-robot-data's robots, tip, base
 STRAY = 0.04  # [m] of error at which a run is stopped
 PHYSICS = 1e-3  # [s] of a step
 
-
 # An arm at rest at q (n,), and what lies between its commands, positions or velocities, and its motion: samples of
 # delay, about how late the motion is [s], the encoders' resolution and the measurement's noise [rad].
 Plant = collections.namedtuple("Plant", "model tip q Ts delay position late resolution noise")

@@ -154,10 +154,9 @@ def drawn(rng, kind) -> Log:
 
 def ends(found, z, delay, lag=0.0) -> bool:
     """Whether the gain that is named for a loop of z overshoots by less than 5 %, and is a quarter of the largest."""
-    if found.factor is None:
-        return False
+    z = (found.factor or 0.0) * z
     least = 0.25 * limits(delay, lag)[1] if delay + lag else 0.9 * monotone(1)  # one that suits a sample more will do
-    return found.factor * z > least and over(found.factor * z, delay, lag) < 0.05
+    return z > least and over(z, delay, lag) < 0.05
 
 
 def is_right(log: Log, found) -> bool | None:

@@ -45,8 +45,8 @@ def test_what_surrounds_a_swing_does_not_matter():
 def test_a_push_tells_dead_time_from_a_lag(d, lag):
     """Without alpha up to 5.6 times the gain that a lag tolerates was named."""
     most, calm = limits(d, lag)
-    e = np.concatenate([np.zeros(20), loop(1.04 * most, d, 250, lag)])
-    found = diagnose(e + 1e-3 * np.random.default_rng(0).standard_normal(270), TS)
+    e = np.pad(loop(1.04 * most, d, 250, lag), (20, 0)) + 1e-3 * np.random.default_rng(0).standard_normal(270)
+    found = diagnose(e, TS)
     assert ends(found, 1.04 * most, d, lag) and found.factor * 1.04 * most > 0.5 * calm
 
 

@@ -33,7 +33,6 @@ def within(fit, **numbers):
         ("position", 2.3, {"lag": 0.02}),
         ("position", 2.1, {"natural_frequency": 23.0, "damping_ratio": 2.3}),
         ("position", 3.6, {"natural_frequency": 40.0, "damping_ratio": 0.2}),
-        ("velocity", 1.5, {"lag": 0.04}),
         ("velocity", 1.0, {"natural_frequency": 60.0, "damping_ratio": 0.8}),
     ],
 )
