@@ -28,7 +28,10 @@ ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone
 USUAL = 0.05  # [s] of a usual lag: larger ones count less
 PUSHED = 0.05  # share of all its way by which an error jumps when the target is pushed, at least
 PART = 0.3  # of a push: how long the motion takes to make up for it tells dead time from a lag
-SOONER, ABOUT = 0.05, 0.1  # relative, its deviation: servos with ζ from 0.7 take 0 to 15 % less than the lag of a mode
+SOONER, ABOUT = (
+    0.05,
+    0.1,
+)  # of that time, relative, and its deviation: servos of ζ 0.7 to 1.3 take 13 % less to 3 % more
 KNOWN, SELDOM = 0.15, 0.03  # relative deviation of the loop's gain from a known one; how often a limit lowers it
 TAIL, MIDDLE = 0.1, 0.6  # share of the likely drives beyond each end; where between the ends' shares that chosen is
 LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
@@ -52,7 +55,7 @@ class Loop(NamedTuple):
     lags: np.ndarray  # (2, n) lags [rows] and how likely they are
     first: int  # rows that were read
     last: int
-    begins: float | None  # rows until PART of a push is made up for, where the target's is seen
+    begins: float | None  # rows until PART of a push of the target is made up for; None without one
 
 
 def noise_of(y):
@@ -242,7 +245,7 @@ def drives_of(read, mode, Ts, alpha, *, clipped) -> tuple:
     odds = np.maximum(np.exp(-0.5 * np.minimum((off / KNOWN) ** 2, 60.0)), (1.0 if clipped else SELDOM) * (off < 0))
     odds = odds / (1 + (lag / USUAL) ** 2) * np.where(lag > 0, 1.0, 3.0) * np.interp(lag / Ts, *read.lags)
     if read.begins is not None:
-        begins = dead + np.sqrt(PART / gain * (PART / gain + 2 * lag))  # of few and of many lags, 6 % short between
+        begins = dead + np.sqrt(PART / gain * (PART / gain + 2 * lag))  # 6 % short at most
         odds = odds * np.exp(-0.5 * np.minimum((np.log(read.begins * Ts / begins) + SOONER) ** 2 / ABOUT**2, 12.0))
     share = np.log(calm / gain if alpha is None else calm / alpha)
     odds, order = odds / np.sum(odds), np.argsort(share)
