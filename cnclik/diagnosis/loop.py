@@ -28,10 +28,7 @@ ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone
 USUAL = 0.05  # [s] of a usual lag: larger ones count less
 PUSHED = 0.05  # share of all its way by which an error jumps when the target is pushed, at least
 PART = 0.3  # of a push: how long the motion takes to make up for it tells dead time from a lag
-SOONER, ABOUT = (
-    0.05,
-    0.1,
-)  # of that time, relative, and its deviation: servos of ζ 0.7 to 1.3 take 13 % less to 3 % more
+SOONER, ABOUT = 0.05, 0.1  # shares of that time, mean and deviation: servos of ζ 0.7 to 1.3 take −13 to 3 % more
 KNOWN, SELDOM = 0.15, 0.03  # relative deviation of the loop's gain from a known one; how often a limit lowers it
 TAIL, MIDDLE = 0.1, 0.6  # share of the likely drives beyond each end; where between the ends' shares that chosen is
 LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
