@@ -314,37 +314,24 @@ document.getElementById("out").textContent = JSON.stringify(rows, (_, x) => (x =
 </script>"""
 
 
-def drawn(rng):
-    """A loop: its drive, Ts, method and M."""
-    Ts, kind = 10 ** rng.uniform(-3, -1.2), rng.integers(4)
-    drive = dict(delay=min(rng.choice([0, 1, 2.4, rng.uniform(0, 0.05) / Ts]), 60))
-    if kind == 1:
-        drive |= dict(lag=10 ** rng.uniform(-2.5, -0.5))
-    if kind > 1:
-        drive |= dict(natural_frequency=10 ** rng.uniform(0.7, 2.2), damping_ratio=rng.uniform(0.2, 1.5))
-    if kind and rng.random() < 0.5:
-        drive |= dict(command="position", feedback=rng.choice(["measured", "rebased"]))
-    if rng.random() < 0.2:
-        drive |= dict(feedback="commanded")
-    if rng.random() < 0.4:
-        drive |= dict(smoothing=rng.uniform(0.05, 0.9), smoothed=rng.choice(["error", "command", "target"]))
-    drive = {k: v if isinstance(v, str) else float(v) for k, v in drive.items()}
-    method = str(rng.choice(["EE", "IE", "CN", "TRAPEZOID", "RK4", "EXP-MIDPOINT"]))
-    return drive, float(Ts), method, 5 if method in ("IE", "CN", "TRAPEZOID") and rng.random() < 0.5 else None
-
-
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 def test_the_page_answers_as_gains_does(tmp_path):
     rng, loops, wanted = np.random.default_rng(20261129), [], []
     names = dict(natural_frequency="frequency", damping_ratio="damping")
     rest = dict(lag=0, frequency=0, damping=1, command="velocity", feedback="measured", smoothing=0, smoothed="error")
-    for drive, Ts, method, M in (drawn(rng) for _ in range(40)):
-        found = ck.gains(Ts=Ts, drive=ck.Drive(**drive), method=method, M=M)
+    cases = [case for case in CASES if case[0] in ("EE", "IE", "CN", "TRAPEZOID", "RK4", "EXP-MIDPOINT")]
+    for _ in range(40):
+        drive, Ts, (method, M) = drawn_drive(rng).lumped, 10 ** rng.uniform(-3, -1.2), cases[rng.integers(len(cases))]
+        late = dict(delay=min(rng.uniform(0, 0.05) / Ts, 60.0)) if rng.random() < 0.3 else {}
+        filters = dict(smoothing=0.7, smoothed="target") if rng.random() < 0.1 else {}
+        drive = dataclasses.replace(drive, **late, **filters)
+        found = ck.gains(Ts=Ts, drive=drive, method=method, M=M)
         elsewhere = {name: one.value or 0.0 for name, one in (found.elsewhere if len(loops) < 10 else {}).items()}
         did = (found.response.settling_time, found.response.overshoot) if found.response else (0, 0)
         tools = [elsewhere[name] for name in ("pink", "Placo", "MoveIt Servo", "Isaac Lab", "UR servoj") if elsewhere]
         wanted.append([found.largest_stable, found.without_overshoot, found.recommended, *did, *tools])
-        loops.append([rest | {names.get(k, k): v for k, v in drive.items()}, Ts, method, M])
+        given = {names.get(k, k): v for k, v in vars(drive).items() if v is not None}
+        loops.append([rest | {k: v if isinstance(v, str) else float(v) for k, v in given.items()}, Ts, method, M])
     page = tmp_path / "page.html"
     page.write_text(PAGE.format(script=SCRIPT.as_uri(), loops=json.dumps(loops)), encoding="utf-8")
     flags = ("--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=600000", "--dump-dom")
