@@ -19,9 +19,9 @@ os.environ.setdefault(
     "--xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
     + " --xla_cpu_use_fusion_emitters=false" * importlib.metadata.version("jaxlib").startswith("0.10."),
 )
-# The same of C: two thirds of the time of -O2. (The last optimisation of a line counts; Clang's -Og is -O1.) And where
-# runs are short, in the folders SHORT, -O0: less than half of it.
-os.environ.setdefault("CFLAGS", "-Og")
+# The same of C (the last optimisation of a line counts): less than half the time of -O2; and in the folders LONG, where
+# runs are long, -Og, which takes two thirds. (Clang's -Og is -O1.)
+os.environ.setdefault("CFLAGS", "-O0")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.path.join(tempfile.gettempdir(), f"cnclik-tests-{os.getuid()}"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "1")  # a tenth of the time of tracing goes into the rest
@@ -35,7 +35,7 @@ from cnclik.cache import give_back
 
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
-MOST_MEMORY, SHORT = 3 << 29, ("law", "integrate", "engine", "stability", "tuning", "measure", "show", "task")
+LONG = ("reaching", "tests", "stress")
 LONGEST = [
     *("combinations", "docs", "several", "near", "native", "reach", "programs", "primitives", "tune", "gradients"),
     *("bounded", "step", "ending", "cli_solve", "walls", "inverse", "files", "store", "gains", "cli", "bank", "bases"),
@@ -56,18 +56,20 @@ def _forget_programs(request):
     """A module's big programs are of no use to the next: without this a worker keeps gigabytes of them."""
     gc.freeze()  # each sweep collects: what was there before is not looked through again, a seventh of the time
     with pytest.MonkeyPatch.context() as patch:
-        if request.path.parent.name in SHORT and os.environ["CFLAGS"] == "-Og":
-            patch.setenv("CFLAGS", "-O0")
+        if request.path.parent.name in LONG and os.environ["CFLAGS"] == "-O0":
+            patch.setenv("CFLAGS", "-Og")
         yield
-    if _memory() > MOST_MEMORY:
+    if _is_large():
         gc.unfreeze()
         jax.clear_caches()
         give_back()  # else the next module pays for it again
 
 
-def _memory():
-    """Bytes that this process holds; infinite where the system doesn't tell."""
+def _is_large() -> bool:
+    """Whether this process holds 3 GB, or its share of half the memory; so where the system doesn't tell."""
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     try:
-        return int(pathlib.Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        held = int(pathlib.Path("/proc/self/statm").read_text().split()[1])
+        return held > min((3 << 30) // os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_PHYS_PAGES") // (2 * workers))
     except (OSError, ValueError):
-        return float("inf")
+        return True
