@@ -320,7 +320,7 @@ def test_the_page_answers_as_gains_does(tmp_path):
     names = dict(natural_frequency="frequency", damping_ratio="damping")
     rest = dict(lag=0, frequency=0, damping=1, command="velocity", feedback="measured", smoothing=0, smoothed="error")
     cases = [case for case in CASES if case[0] in ("EE", "IE", "CN", "TRAPEZOID", "RK4", "EXP-MIDPOINT")]
-    for _ in range(40):
+    for _ in range(32):
         drive, Ts, (method, M) = drawn_drive(rng).lumped, 10 ** rng.uniform(-3, -1.2), cases[rng.integers(len(cases))]
         late = dict(delay=min(rng.uniform(0, 0.05) / Ts, 60.0)) if rng.random() < 0.3 else {}
         filters = dict(smoothing=0.7, smoothed="target") if rng.random() < 0.1 else {}
