@@ -89,8 +89,6 @@ def test_every_method_and_drive_has_the_limits_of_its_true_map(name):
 def test_margins_are_those_of_scipy(name):
     """The loop gain at SciPy's frequencies; noise by SciPy's Lyapunov solution."""
     drive = DRIVES[name]
-    if drive.feedback == "commanded":
-        return
     loop, s = scalar_loop(drive, Ts), 0.02
     import scipy.signal  # takes as long as half of the package, and is of no other test
 
@@ -225,6 +223,11 @@ def test_joints_with_different_drives():
     assert several.largest_stable == pytest.approx(slowest.largest_stable)
     assert len(several.drive.joints) == 2
     assert "a lag of 20 to 200 ms" in str(several)
+    pair = Drive(delay=2, lag=0.05), Drive(delay=2, lag=0.2, feedback="commanded")  # together worse than alone
+    one, other = (scalar_loop(drive, Ts).unit_gain(np.exp(1j * np.linspace(0.1, 1, 2000))) for drive in pair)
+    part, share = np.linspace(0, 1, 401)[:, None], mixed_share(pair, Ts)
+    away = [np.abs(1 + s * share * (part * one + (1 - part) * other)).min() for s in (0.9, 1.0)]
+    assert share < 0.96 * min(stable_share(drive, Ts) for drive in pair) and away[1] < 2e-3 < 0.03 < away[0]
     outside = Drive(delay=2, lag=[0.2, 0.02], feedback="commanded")  # of a loop on its own commands drives are no part
     assert ck.gains(Ts=Ts, drive=outside, method="EE").largest_stable == pytest.approx(2 / Ts)
 
