@@ -59,7 +59,7 @@ def test_same_as_vmap(engine, small):
 def test_a_batch_may_be_of_runs(small):
     with ck.use_engine("plain"):
         runs = jax.vmap(lambda q: ck.solve(LAW, ck.hold([1.0, 0.5]), q, 0.1, 2, "EE"))(_cases(33)["q0"])
-        assert lanes(lambda run: jnp.linalg.svd(run.q, compute_uv=False))(runs).shape == (33, 2)
+        assert lanes(lambda run: jnp.linalg.svd(run.q, compute_uv=False), cores=1)(runs).shape == (33, 2)
 
 
 def test_under_jit_grad_and_vmap():
@@ -86,7 +86,6 @@ def test_one_program_for_all_blocks(small):
 test_batches_that_do_not_fit = refusals(
     (lambda: lanes(max)(), "`args` must .*have no arrays"),
     (lambda: lanes(max)(jnp.ones(3), jnp.ones(4)), "`args` must .*have 3, 4"),
-    (lambda: lanes(max)(jnp.ones(())), "`args` must .*have none"),
     (lambda: lanes(max)([[1.0, 2.0], [3.0, 4.0]]), "`args` must .*have none"),
     (lambda: lanes(max)(jnp.ones((0, 2))), "`args` must .*hold 0"),
 )

@@ -89,8 +89,6 @@ def test_every_method_and_drive_has_the_limits_of_its_true_map(name):
 def test_margins_are_those_of_scipy(name):
     """The loop gain at SciPy's frequencies; noise by SciPy's Lyapunov solution."""
     drive = DRIVES[name]
-    if drive.feedback == "commanded":
-        return
     loop, s = scalar_loop(drive, Ts), 0.02
     import scipy.signal  # takes as long as half of the package, and is of no other test
 
@@ -225,6 +223,11 @@ def test_joints_with_different_drives():
     assert several.largest_stable == pytest.approx(slowest.largest_stable)
     assert len(several.drive.joints) == 2
     assert "a lag of 20 to 200 ms" in str(several)
+    pair = Drive(delay=2, lag=0.05), Drive(delay=2, lag=0.2, feedback="commanded")  # together worse than alone
+    one, other = (scalar_loop(drive, Ts).unit_gain(np.exp(1j * np.linspace(0.1, 1, 2000))) for drive in pair)
+    part, share = np.linspace(0, 1, 401)[:, None], mixed_share(pair, Ts)
+    away = [np.abs(1 + s * share * (part * one + (1 - part) * other)).min() for s in (0.9, 1.0)]
+    assert share < 0.96 * min(stable_share(drive, Ts) for drive in pair) and away[1] < 2e-3 < 0.03 < away[0]
     outside = Drive(delay=2, lag=[0.2, 0.02], feedback="commanded")  # of a loop on its own commands drives are no part
     assert ck.gains(Ts=Ts, drive=outside, method="EE").largest_stable == pytest.approx(2 / Ts)
 
@@ -314,37 +317,24 @@ document.getElementById("out").textContent = JSON.stringify(rows, (_, x) => (x =
 </script>"""
 
 
-def drawn(rng):
-    """A loop: its drive, Ts, method and M."""
-    Ts, kind = 10 ** rng.uniform(-3, -1.2), rng.integers(4)
-    drive = dict(delay=min(rng.choice([0, 1, 2.4, rng.uniform(0, 0.05) / Ts]), 60))
-    if kind == 1:
-        drive |= dict(lag=10 ** rng.uniform(-2.5, -0.5))
-    if kind > 1:
-        drive |= dict(natural_frequency=10 ** rng.uniform(0.7, 2.2), damping_ratio=rng.uniform(0.2, 1.5))
-    if kind and rng.random() < 0.5:
-        drive |= dict(command="position", feedback=rng.choice(["measured", "rebased"]))
-    if rng.random() < 0.2:
-        drive |= dict(feedback="commanded")
-    if rng.random() < 0.4:
-        drive |= dict(smoothing=rng.uniform(0.05, 0.9), smoothed=rng.choice(["error", "command", "target"]))
-    drive = {k: v if isinstance(v, str) else float(v) for k, v in drive.items()}
-    method = str(rng.choice(["EE", "IE", "CN", "TRAPEZOID", "RK4", "EXP-MIDPOINT"]))
-    return drive, float(Ts), method, 5 if method in ("IE", "CN", "TRAPEZOID") and rng.random() < 0.5 else None
-
-
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 def test_the_page_answers_as_gains_does(tmp_path):
     rng, loops, wanted = np.random.default_rng(20261129), [], []
     names = dict(natural_frequency="frequency", damping_ratio="damping")
     rest = dict(lag=0, frequency=0, damping=1, command="velocity", feedback="measured", smoothing=0, smoothed="error")
-    for drive, Ts, method, M in (drawn(rng) for _ in range(40)):
-        found = ck.gains(Ts=Ts, drive=ck.Drive(**drive), method=method, M=M)
+    cases = [case for case in CASES if case[0] in ("EE", "IE", "CN", "TRAPEZOID", "RK4", "EXP-MIDPOINT")]
+    for _ in range(32):
+        drive, Ts, (method, M) = drawn_drive(rng).lumped, 10 ** rng.uniform(-3, -1.2), cases[rng.integers(len(cases))]
+        late = dict(delay=min(rng.uniform(0, 0.05) / Ts, 60.0)) if rng.random() < 0.3 else {}
+        filters = dict(smoothing=0.7, smoothed="target") if rng.random() < 0.1 else {}
+        drive = dataclasses.replace(drive, **late, **filters)
+        found = ck.gains(Ts=Ts, drive=drive, method=method, M=M)
         elsewhere = {name: one.value or 0.0 for name, one in (found.elsewhere if len(loops) < 10 else {}).items()}
         did = (found.response.settling_time, found.response.overshoot) if found.response else (0, 0)
         tools = [elsewhere[name] for name in ("pink", "Placo", "MoveIt Servo", "Isaac Lab", "UR servoj") if elsewhere]
         wanted.append([found.largest_stable, found.without_overshoot, found.recommended, *did, *tools])
-        loops.append([rest | {names.get(k, k): v for k, v in drive.items()}, Ts, method, M])
+        given = {names.get(k, k): v for k, v in vars(drive).items() if v is not None}
+        loops.append([rest | {k: v if isinstance(v, str) else float(v) for k, v in given.items()}, Ts, method, M])
     page = tmp_path / "page.html"
     page.write_text(PAGE.format(script=SCRIPT.as_uri(), loops=json.dumps(loops)), encoding="utf-8")
     flags = ("--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=600000", "--dump-dom")

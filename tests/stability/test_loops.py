@@ -97,10 +97,10 @@ def test_it_is_differentiable_and_checks_rest():
     step = 1e-6
     ends = [float(spectral_radius(law, None, Q2, Ts, "EE")) for Ts in (0.09 - step, 0.09 + step)]
     assert slope == pytest.approx((ends[1] - ends[0]) / (2 * step), rel=1e-5)
-    with pytest.raises(ArgumentError, match="`q` must be at rest"):
-        spectral_radius(law, ck.hold([1.0, 1.0]), Q2, 0.01, "EE")
-    with pytest.raises(ArgumentError, match="`Ts` must be positive"):
-        spectral_radius(law, None, Q2, 0.0, "EE")
+    cases = ("q` must be at rest", ck.hold([1.0, 1.0]), Q2, 0.01), ("Ts` must be positive", None, Q2, 0.0)
+    for says, *bad in (*cases, ("q` must be finite", None, np.inf * Q2, 0.01)):
+        with pytest.raises(ArgumentError, match=says):
+            spectral_radius(law, *bad, "EE")
 
 
 # --- maps -----------------------------------------------------------------------------------------------
