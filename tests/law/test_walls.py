@@ -84,7 +84,7 @@ def made_of(damping, drawn, walls, floor):
 
 def check_least(name, damping, count, k):
     daqp = pytest.importorskip("daqp")
-    drawn, walls, floor = problems(name, count, seed=1, k=k)
+    drawn, walls, floor = problems(name, count, seed=13, k=k)  # of which two take several descents
     qdot, room, _ = made_of(damping, drawn, walls, floor)
     assert np.all((qdot >= drawn.low) & (qdot <= drawn.high))
     off, missed = [], []
