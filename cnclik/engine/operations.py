@@ -25,7 +25,7 @@ DTYPES = frozenset(map(np.dtype, TYPES))
 
 def check_dtype(dtype) -> None:
     """Raise UnsupportedError if numbers of a type, or random keys, have no C form."""
-    if not isinstance(dtype, np.dtype) or dtype.name not in TYPES:
+    if dtype not in DTYPES:
         raise UnsupportedError(f"numbers of type {dtype} have no C form")
 
 

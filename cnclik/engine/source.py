@@ -71,7 +71,7 @@ def entry(dtype, data, size):
 
 
 def _types(writer, main):
-    used = ({n.dtype.name for n in writer.used} | {main.name}) - {"bool"}
+    used = {dtype.name for dtype in {main, *(n.dtype for n in writer.used)}} - {"bool"}
     for name in TYPES:
         if name not in used:
             continue
