@@ -150,8 +150,10 @@ def _swing(scaled, read, Ts, alpha) -> dict | None:
         return {"kind": UNDECIDED, "note": UNFINISHED}
     drive, ends, present, least, most, wide = loop.drives_of(read, mode, Ts, alpha, clipped=change > 0 or held)
     best = gains(Ts=Ts, drive=drive, method="EE").recommended
-    if alpha is not None and (least > SCALED * alpha or (best > TOO_LARGE * alpha and not excited)):
+    if alpha is not None and least > SCALED * alpha:
         return {"kind": UNDECIDED if change > 0 else CALM, "note": SMALL}
+    if alpha is not None and best > TOO_LARGE * alpha and not excited:
+        return {"kind": CALM, "note": f"It swings a little at most: by this log up to {best:.4g} 1/s it would not."}
     if wide > WIDE if alpha is None else alpha > CLIPPED * most:
         return {"kind": UNDECIDED, "note": OPEN}
     lasts = excited or held

@@ -27,7 +27,8 @@ VISIBLE = 0.1  # of an error, by which a loop passes its target if its gain is t
 ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone, or a dead time, is better than others
 USUAL = 0.05  # [s] of a usual lag: larger ones count less
 PUSHED = 0.05  # share of all its way by which an error jumps when the target is pushed, at least
-PART = 0.3  # of a push: how long the motion takes to make up for it tells dead time from a lag
+PART = np.array([0.3, 0.6])  # of a push: how long the motion takes to make up for the first tells dead time from a lag
+LINEAR = 1.35  # ratio of the time from the first to the second to a loop's, up to which no limit or other jump made it
 SOONER, ABOUT = 0.05, 0.1  # shares of that time, mean and deviation: servos of ζ 0.7 to 1.3 take −13 to 3 % more
 KNOWN, SELDOM = 0.15, 0.03  # relative deviation of the loop's gain from a known one; how often a limit lowers it
 TAIL, MIDDLE = 0.1, 0.6  # share of the likely drives beyond each end; where between the ends' shares that chosen is
@@ -52,7 +53,7 @@ class Loop(NamedTuple):
     lags: np.ndarray  # (2, n) lags [rows] and how likely they are
     first: int  # rows that were read
     last: int
-    begins: float | None  # rows until PART of a push of the target is made up for; None without one
+    begins: np.ndarray | None  # (2,) rows until PART of a push of the target is made up for; None without one
 
 
 def noise_of(y):
@@ -85,12 +86,13 @@ def window(y) -> tuple:
     """(first row of the motion after a push, last one that is read, rows until PART of a jump of y is made up for)."""
     N, span, steps = len(y), np.ptp(y, axis=0), np.linalg.norm(np.diff(y, axis=0), axis=1)
     around = np.max([np.roll(steps, s) for s in (-3, -2, -1, 1, 2, 3)], axis=0)
-    jumps = steps * (steps > np.maximum(APART * around, PUSHED * np.linalg.norm(span)))
+    least = PUSHED * np.linalg.norm(span) + 6 * np.linalg.norm(noise_of(y))
+    jumps = steps * (steps > np.maximum(APART * around, least))
     first, last, begins = int(np.argmax(jumps)) + 1, N, None
     if jumps[first - 1] > 0 and first < 0.6 * N:
         jump = y[first] - y[first - 1]
         back = (y[first] - y[first:]) @ jump / (jump @ jump)
-        begins = float(np.interp(PART, np.maximum.accumulate(back), np.arange(N - first))) if max(back) > PART else None
+        begins = np.interp(PART, np.maximum.accumulate(back), np.arange(N - first)) if max(back) > PART[1] else None
     else:
         away = np.argmax(np.any(np.abs(y - y[0]) > 6 * noise_of(y) + 2e-3 * span, axis=1))
         first = int(away) if away < 0.6 * N else 0
@@ -242,8 +244,12 @@ def drives_of(read, mode, Ts, alpha, *, clipped) -> tuple:
     odds = np.maximum(np.exp(-0.5 * np.minimum((off / KNOWN) ** 2, 60.0)), (1.0 if clipped else SELDOM) * (off < 0))
     odds = odds / (1 + (lag / USUAL) ** 2) * np.where(lag > 0, 1.0, 3.0) * np.interp(lag / Ts, *read.lags)
     if read.begins is not None:
-        begins = dead + np.sqrt(PART / gain * (PART / gain + 2 * lag))  # 6 % short at most
-        odds = odds * np.exp(-0.5 * np.minimum((np.log(read.begins * Ts / begins) + SOONER) ** 2 / ABOUT**2, 12.0))
+        u = PART[:, None] / gain
+        begins = dead + np.sqrt(u * (u + 2 * lag))  # of dead time and a lag 6 % short at most, of a lag alone 10 %
+        rest = np.diff(read.begins) * Ts / (begins[1] - begins[0])
+        if min(rest) < LINEAR and max(rest) > 1 / LINEAR:
+            apart = np.log(read.begins[0] * Ts / begins[0]) + SOONER
+            odds = odds * np.exp(-0.5 * np.minimum((apart / ABOUT) ** 2, 12.0))
     share = np.log(calm / gain if alpha is None else calm / alpha)
     odds, order = odds / np.sum(odds), np.argsort(share)
     ends = order[np.minimum(np.searchsorted(np.cumsum(odds[order]), [TAIL, 1 - TAIL]), len(order) - 1)]

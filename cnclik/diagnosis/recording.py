@@ -4,12 +4,11 @@ import numpy as np
 
 from cnclik import errors
 
-LEAST = 16  # rows
 LARGEST = 1e30  # value of a recording, at most; squares of far larger ones overflow
 MISSING, BESIDE = 0.6, 12  # of a step, by which the rows after a gap come late; rows on either side that tell
 
 
-def columns(name, values, door, *, least=LEAST, like=None):
+def columns(name, values, door, *, least=16, like=None):
     """Return a log as columns (N, k), as many as `like` has. Raises: ArgumentError, also of what `door` can't trace."""
     values = errors.array(name, values, (None,), (None, None), most=LARGEST)
     if not errors.concrete(values):

@@ -15,6 +15,7 @@ import signal
 import subprocess
 import tempfile
 import threading
+import time
 import weakref
 
 from cnclik import errors
@@ -135,16 +136,15 @@ def _run(line, limit):
     with tempfile.TemporaryFile() as said:  # no pipe: what the compiler leaves running may hold one open
         quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": said}
         with subprocess.Popen(line, **quiet, start_new_session=True) as process:
-            alarm = threading.Timer(limit, os.killpg, (process.pid, signal.SIGKILL))
-            alarm.start()  # `wait` with a time limit would look only every 50 ms
-            try:
+            begun, alarm = time.monotonic(), threading.Timer(limit, os.killpg, (process.pid, signal.SIGKILL))
+            try:  # `wait` with a time limit would look only every 50 ms
+                alarm.start()
                 process.wait()
-                late = alarm.finished.is_set()
             finally:  # also after an interrupt
                 alarm.cancel()
                 if process.poll() is None:
                     os.killpg(process.pid, signal.SIGKILL)
-            if late:
+            if process.returncode < 0 and time.monotonic() - begun >= limit:
                 raise SlowError(f"the C compiler failed: nothing within {limit:g} s")
         said.seek(0)
         return process.returncode, said.read().decode(errors="replace")

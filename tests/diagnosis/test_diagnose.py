@@ -41,12 +41,14 @@ def test_what_surrounds_a_swing_does_not_matter():
         assert same.recommended_alpha == pytest.approx(diagnose(e, TS).recommended_alpha, rel=1e-3)
 
 
-@pytest.mark.parametrize(("d", "lag"), [(1, 8), (0.5, 10), (3, 4), (6, 3), (5, 0)])
-def test_a_push_tells_dead_time_from_a_lag(d, lag):
-    """Without alpha up to 5.6 times the gain that a lag tolerates was named."""
+@pytest.mark.parametrize(
+    ("d", "lag", "clip"), [(1, 8, 9), (0.5, 10, 9), (3, 4, 9), (6, 3, 9), (5, 0, 9), (1, 4, 0.3), (4, 3, 0.5)]
+)
+def test_a_push_tells_dead_time_from_a_lag(d, lag, clip):
+    """Without alpha up to 5.6 times the gain that a lag tolerates was named. A limit of velocity tells nothing else."""
     most, calm = limits(d, lag)
-    e = np.pad(loop(1.04 * most, d, 250, lag), (20, 0)) + 1e-3 * np.random.default_rng(0).standard_normal(270)
-    found = diagnose(e, TS)
+    e = np.pad(loop(1.04 * most, d, 250, lag, clip=clip * most), (20, 0))
+    found = diagnose(e + 1e-3 * np.random.default_rng(0).standard_normal(270), TS)
     assert ends(found, 1.04 * most, d, lag) and found.factor * 1.04 * most > 0.5 * calm
 
 
