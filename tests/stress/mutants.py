@@ -129,7 +129,7 @@ def likely(file, line, rows) -> tuple[list, list]:
             elsewhere = "" in names and path.parts[1] != file.parts[1]  # a constant of the module
             cases.append((elsewhere, seconds * len(tests) / len(coverage.measured_contexts()), str(path), tests))
     cases.sort()
-    return [test for *_, tests in cases for test in tests], [path for _, path, _ in cases]
+    return [test for *_, tests in cases for test in tests], [path for *_, path, _ in cases]
 
 
 def tested(file, line, text, folder, seconds, rows) -> str:
