@@ -164,6 +164,11 @@ def _rows(t, moved, Ts) -> tuple:
     return findings, kept, (late | back)[kept[1:] - 1]
 
 
+def around(steps):
+    """The largest of the three steps (N,) on either side of each."""
+    return np.nanmax([np.roll(steps, s) for s in (-3, -2, -1, 1, 2, 3)], axis=0, initial=0.0)
+
+
 def _motion(t, q, gaps, Ts, limit, name, unit, resolution) -> list:
     """Findings of joint values (N,), of each kind one or None. resolution: None of commands, which have no noise."""
     step = np.diff(q)
@@ -172,8 +177,7 @@ def _motion(t, q, gaps, Ts, limit, name, unit, resolution) -> list:
     q = q[0] + np.concatenate([[0.0], np.cumsum(step)])
     step[gaps] = np.nan
     noise = 0.0 if resolution is None else _noise(step)
-    around = np.nanmax([np.abs(np.roll(step, s)) for s in (-3, -2, -1, 1, 2, 3)], axis=0, initial=0.0)
-    jumps = np.abs(step) > APART * around + 6 * noise + (resolution or 0.0)
+    jumps = np.abs(step) > APART * around(np.abs(step)) + 6 * noise + (resolution or 0.0)
     over = np.maximum(np.maximum(q - limit.get("upper", np.inf), limit.get("lower", -np.inf) - q), 0.0)
     findings = [
         _worst("wrap by 2π", wraps * wraps.sum(), t[1:], name, "times") if wraps.any() else None,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnclik.diagnosis.check import APART
+from cnclik.diagnosis.check import APART, around
 from cnclik.integrate.drive import MOST, Drive
 
 ROWS = 2000  # rows that are read, those that move most: more change no digit of a gain
@@ -85,16 +85,16 @@ def prepared(y):
 def window(y) -> tuple:
     """(first row of the motion after a push, last one that is read, rows until PART of a jump of y is made up for)."""
     N, span, steps = len(y), np.ptp(y, axis=0), np.linalg.norm(np.diff(y, axis=0), axis=1)
-    around = np.max([np.roll(steps, s) for s in (-3, -2, -1, 1, 2, 3)], axis=0)
-    least = PUSHED * np.linalg.norm(span) + 6 * np.linalg.norm(noise_of(y))
-    jumps = steps * (steps > np.maximum(APART * around, least))
+    noise = 6 * noise_of(y)
+    least = PUSHED * np.linalg.norm(span) + np.linalg.norm(noise)
+    jumps = steps * (steps > np.maximum(APART * around(steps), least))
     first, last, begins = int(np.argmax(jumps)) + 1, N, None
     if jumps[first - 1] > 0 and first < 0.6 * N:
         jump = y[first] - y[first - 1]
         back = (y[first] - y[first:]) @ jump / (jump @ jump)
         begins = np.interp(PART, np.maximum.accumulate(back), np.arange(N - first)) if max(back) > PART[1] else None
     else:
-        away = np.argmax(np.any(np.abs(y - y[0]) > 6 * noise_of(y) + 2e-3 * span, axis=1))
+        away = np.argmax(np.any(np.abs(y - y[0]) > noise + 2e-3 * span, axis=1))
         first = int(away) if away < 0.6 * N else 0
     if last - first > ROWS:
         power = np.concatenate([[0.0], np.cumsum(np.sum(np.diff(y[first:last], axis=0) ** 2, 1))])
