@@ -30,11 +30,11 @@ PUSHED = 0.05  # share of all its way by which an error jumps when the target is
 PART = np.array([0.3, 0.6])  # of a push: how long the motion takes to make up for the first tells dead time from a lag
 LINEAR = 1.35  # ratio of the time from the first to the second to a loop's, up to which no limit or other jump made it
 SOONER, ABOUT = 0.05, 0.1  # shares of that time, mean and deviation: servos of ζ 0.7 to 1.3 take −13 to 3 % more
-KNOWN, SELDOM = 0.15, 0.03  # relative deviation of the loop's gain from a known one; how often a limit lowers it
+GIVEN, SELDOM = 0.15, 0.03  # relative deviation of the loop's gain from a known one; how often a limit lowers it
 TAIL, MIDDLE = 0.1, 0.6  # share of the likely drives beyond each end; where between the ends' shares that chosen is
-LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
+LEFT = 0.1  # share of the power of the motion that turned frames leave unexplained, at most
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
-ALIKE = 25.0  # of the criterion, within which another dead time explains a spiral as well
+ALIKE = 60.0  # of the criterion, within which another dead time explains a spiral as well
 STEADY = 1.1  # ratio of the sizes in the last thirds of a circle, at most; the first one may be a push
 PARTS = 250  # rows to which a spiral or a growth is averaged
 WAY = 1.05  # of a growth, its way over its distance: noise apart it never turns back
@@ -241,7 +241,7 @@ def drives_of(read, mode, Ts, alpha, *, clipped) -> tuple:
     x = 2 / (2 * lag + late + np.sqrt(4 * lag**2 + late**2))
     calm = x * (1 - lag * x) * np.exp(-x * late)
     off = np.zeros(len(lag)) if alpha is None else np.log(gain / alpha)
-    odds = np.maximum(np.exp(-0.5 * np.minimum((off / KNOWN) ** 2, 60.0)), (1.0 if clipped else SELDOM) * (off < 0))
+    odds = np.maximum(np.exp(-0.5 * np.minimum((off / GIVEN) ** 2, 60.0)), (1.0 if clipped else SELDOM) * (off < 0))
     odds = odds / (1 + (lag / USUAL) ** 2) * np.where(lag > 0, 1.0, 3.0) * np.interp(lag / Ts, *read.lags)
     if read.begins is not None:
         u = PART[:, None] / gain
@@ -265,38 +265,33 @@ def turned(y, gain=None) -> tuple | None:
     any sign for each column explains the log as well. A spiral leaves d open, as a turn by the angle of d rows looks
     alike: of those that explain it as well that is taken whose z is next to a known gain, or else the least d.
     """
-    from scipy.signal import lfilter
     from scipy.spatial.transform import Rotation
 
     blocks = {2: [[0, 1]], 3: [[0, 1, 2]], 6: [[0, 1, 2], [3, 4, 5]]}.get(y.shape[1], [])
     first, last, _ = window(y)
-    y = y[max(first - 1, 0) : last]
-    m = max(1, len(y) // PARTS)
-    y = averaged(y, m)
+    m = max(1, (last - first) // PARTS)
+    past = min(first // m, DEAD + 1)
+    y = averaged(y[first - past * m : last], m)
     most = min(DEAD, len(y) // 5)
-    N = len(y) - most - 4
+    N = len(y) - most - 1
     if not blocks or N < 12:
         return None
     y = y / np.concatenate([np.full(len(b), np.sqrt(np.mean(np.var(y[:, b], axis=0))) + 1e-300) for b in blocks])
     floor = UNMODELLED**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
-    level, plain = path_basis(N)[:, :2], np.inf
-    spins: list = []
-    for theta in (0.0, 0.8, 1.0):
-        over = [1.0, -theta]
-        left, acts = free(level, lfilter([1.0, -1.0], over, y, axis=0)[-N:]), lfilter([1.0], over, y, axis=0)
-        for d in range(most + 1):
-            late = free(level, acts[-N - 1 - d : -1 - d])
-            each = -np.sum(left * late, 0) / np.maximum(np.sum(late**2, 0), 1e-300)
-            u, _, vt = np.linalg.svd(-sum(left[:, b].T @ late[:, b] for b in blocks))
-            u[:, -1] *= np.sign(np.linalg.det(u @ vt))
-            moved = late @ np.kron(np.eye(len(blocks)), u @ vt).T
-            z = -np.sum(left * moved) / max(np.sum(moved**2), 1e-300)
-            rests = left + each * late, left + z * moved
-            alone, score = (N * np.sum(np.log(np.mean(rest**2, 0) + floor)) for rest in rests)
-            plain = min(plain, alone + np.log(N) * (len(each) + (theta != 0)))
-            if z > 0:
-                score += np.log(N) * (4 + (theta != 0))
-                spins.append((score, d, z / m, u @ vt, np.sum(rests[1] ** 2) / np.sum(left**2)))
+    level, plain, spins = path_basis(N)[:, :2], np.inf, []
+    left, acts = free(level, y[-N:]), np.cumsum(y, axis=0)  # both sides summed: noise of the measurement stays white
+    for d in range(most + 1):
+        late = free(level, acts[-N - 1 - d : -1 - d])
+        each = -np.sum(left * late, 0) / np.maximum(np.sum(late**2, 0), 1e-300)
+        u, _, vt = np.linalg.svd(-sum(left[:, b].T @ late[:, b] for b in blocks))
+        u[:, -1] *= np.sign(np.linalg.det(u @ vt))
+        moved = late @ np.kron(np.eye(len(blocks)), u @ vt).T
+        z = -np.sum(left * moved) / max(np.sum(moved**2), 1e-300)
+        rests = left + each * late, left + z * moved
+        alone, score = (N * np.sum(np.log(np.mean(rest**2, 0) + floor)) for rest in rests)
+        plain = min(plain, alone + np.log(N) * len(each))
+        if z > 0:
+            spins.append((score + np.log(N) * 4, d, z / m, u @ vt, np.sum(rests[1] ** 2) / np.sum(left**2)))
     least = min((spin[0] for spin in spins), default=0.0)
     alike = sorted((spin for spin in spins if spin[0] <= least + ALIKE), key=lambda spin: spin[1::-1])
     if not alike or alike[0][4] > LEFT or plain - alike[0][0] < BETTER:
@@ -304,8 +299,8 @@ def turned(y, gain=None) -> tuple | None:
     best = alike[0] if gain is None else min(alike, key=lambda spin: abs(np.log(spin[2] / gain)))
     turn = np.eye(3)
     turn[: len(best[3]), : len(best[3])] = best[3]
-    wave = free(path_basis(len(y))[:, :2], y)
-    sizes = [float(np.linalg.norm(wave[-i * (len(y) // 3) :][: len(y) // 3])) for i in (3, 2, 1)]
+    wave = free(path_basis(len(y) - past)[:, :2], y[past:])
+    sizes = [float(np.linalg.norm(third)) for third in np.array_split(wave, 3)]
     steady = 1 / STEADY < sizes[2] / max(sizes[1], 1e-300) < STEADY and sizes[2] > 0.5 * sizes[0]
     return Rotation.from_matrix(turn).as_rotvec(degrees=True), best[2], steady
 
