@@ -39,7 +39,7 @@ def run(
         from cnclik.measure.dataset import labelled
         from cnclik.measure.files import save_netcdf
 
-        data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop))
+        data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop, made.Ts))
         try:  # before a reader of the answer may leave
             folder.write("trajectory.nc", functools.partial(save_netcdf, data))
         finally:  # on a full disk, too

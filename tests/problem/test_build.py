@@ -258,7 +258,9 @@ def test_what_the_file_says_holds_unless_an_option_is_given(file):
     assert (made.Ts, made.N, str(made.method), made.drive) == (0.004, 7, "EE", ck.Drive(delay=2.0, lag=0.05))
     np.testing.assert_array_equal(made.q0, ck.problem.start_from(ck.panda(), ck.pose()))
     made = problem_of(file(ONE), N=3, method="CN", M=2, delay=0.0)
-    assert (made.N, str(made.method), made.stage.M, made.drive) == (3, "CN", 2, ck.Drive(lag=0.05))
+    assert (made.N, str(made.method), made.stage, made.drive) == (3, "CN", ck.picard(2), ck.Drive(lag=0.05))
+    made = problem_of(file(ONE.replace("N=7", "stage=ck.chord(3)")), M=2, delay="34ms")
+    assert made.stage == ck.chord(2) and made.drive.delay == 8.5  # of the file's iteration and sampling time
     same = problem_of(
         file("import cnclik as ck\ndef problem(): return ck.problem.problem_from('ur5', Ts=0.002, damping=0.1)")
     )
@@ -281,6 +283,7 @@ def test_what_the_file_says_holds_unless_an_option_is_given(file):
         (ONE.replace("N=7", "noise=[0.1, 0.2]"), {}, "`noise` must be a single number or have 6 numbers, but has 2"),
         (ONE.replace("N=7", "noise=[0, 0, 0, 0, 0, -0.1]"), {}, "`noise` must be at least 0, but is"),
         (TWO, {"Ts": -1.0}, "`Ts` must be positive"),
+        (TWO.replace("alpha=5.0", "alpha=5.0, delay=2"), {"delay": "34ms"}, "a time, and no sampling time is given"),
         (TWO, {"lag": [0.1, 0.2]}, "`lag` must have 3 numbers, but has 2"),
     ],
 )
