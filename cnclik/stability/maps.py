@@ -11,7 +11,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive, sampled
 from cnclik.integrate.lanes import lanes
-from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
+from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import check_loop
 from cnclik.measure.outcome import Ending, outcome
@@ -70,17 +70,15 @@ def stability_map(
     errors.kind("progress", progress, (Callable, type(None)), "be a function or None")
     if M is not None and not method.implicit:
         raise errors.fail("method", "be implicit where M is given, such as CN", f"is {method}")
-    given = {"M": M, "Ts": Ts, "alpha": alpha}
-    values = {k: np.asarray(errors.array(k, v, (), (None,)), float) for k, v in given.items() if v is not None}
+    bounds: dict = {"M": {"at_least": 0, "most": 1e6}, "Ts": {"positive": True}, "alpha": {"at_least": 0}}
+    given = {k: v for k, v in {"M": M, "Ts": Ts, "alpha": alpha}.items() if v is not None}
+    values = {k: np.asarray(errors.array(k, v, (), (None,), **bounds[k]), float) for k, v in given.items()}
     q0 = np.asarray(errors.array("q0", q0, (law.chain.n,)), float)
     axes = [name for name, value in values.items() if value.ndim]
-    if not axes or not all(value.size for value in values.values()):
+    if not axes:
         raise errors.fail("alpha, Ts, M", "hold several values, one of them at least", "do not")
-    if not np.all(values["Ts"] > 0):
-        raise errors.fail("Ts", "be positive", f"is {values['Ts'].min():g}")
-    passes = values.get("M", np.zeros(()))
-    if np.any((passes < 0) | (passes > 1_000_000) | (np.round(passes) != passes)):
-        raise errors.fail("M", "be whole, at least 0 and at most a million", f"is {passes.tolist()}")
+    if np.any(values.get("M", 0) % 1):
+        raise errors.fail("M", "be whole", f"is {values['M'].tolist()}")
     if not largest > 0:
         raise errors.fail("law", "have a gain above 0", f"has {largest:g}")
 
@@ -121,7 +119,6 @@ def stability_map(
             "method": method.name,
             "stage": type(stage).__name__.lower() if M is not None else str(stage),
             "q0": q0,
-            "evaluations_per_step": int(evaluations_per_step(method, stage, law.chain.n)),
             "N": N,
             "tolerance": tolerance,
         },
