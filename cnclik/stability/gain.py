@@ -174,12 +174,13 @@ def gain_table(*, Ts, dead_time, drive: Drive = Drive(), method: MethodLike = DE
     """Return the gains over sampling times and dead times as an xarray.Dataset over (Ts, dead_time).
 
     Args:
-      Ts: (a,) [s]. dead_time: (b,) [s], in place of the drive's own.
+      Ts: (a,) [s]. dead_time: (b,) [s], that of the measurement included, in place of the drive's own.
       drive, method, M: as for `gains`.
     """
     import xarray as xr
 
     Ts, dead_time = (np.asarray(errors.array(k, v, (None,)), float) for k, v in (("Ts", Ts), ("dead_time", dead_time)))
+    drive = replace(drive, measurement_delay=0)
     rows = [[gains(Ts=T, drive=replace(drive, delay=d / T), method=method, M=M) for d in dead_time] for T in Ts]
     names = ("largest_stable", "without_overshoot", "recommended")
     return xr.Dataset(

@@ -252,7 +252,8 @@ def test_a_filter_lowers_gains_but_not_of_the_target():
 
 
 def test_a_table_holds_the_gains_of_its_cells():
-    data = gain_table(Ts=[0.002, 0.01], dead_time=[0.0, 0.01, 0.02], drive=Drive(lag=0.05))
+    drive = Drive(lag=0.05, measurement_delay=3)  # whose dead time gives way to that of the table
+    data = gain_table(Ts=[0.002, 0.01], dead_time=[0.0, 0.01, 0.02], drive=drive)
     assert data.recommended.dims == ("Ts", "dead_time") and data.recommended.attrs["units"] == "1/s"
     cell = ck.gains(Ts=0.01, drive=Drive(delay=2, lag=0.05))
     assert float(data.recommended.sel(Ts=0.01, dead_time=0.02)) == cell.recommended
