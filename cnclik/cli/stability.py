@@ -243,8 +243,8 @@ def _map(found, given, made):
 
     drive = Drive() if found.assumed else found.drive
     made = made or problem("planar-clockwise:1,1,1,1,1", given)
-    rate = float(np.max(np.asarray(made.law.alpha)))
-    limit = min(largest_stable(made.method, made.stage, drive, Ts=made.Ts), 20 / made.Ts)
+    rate = float(errors.number("alpha", np.max(np.asarray(made.law.alpha)), positive=True))
+    limit = min(largest_stable(made.method, made.stage, drive, Ts=made.Ts) or rate, 20 / made.Ts)
     # The gain and the sampling time each cover half the ratio to the limit, so that both reach it in the picture.
     half = np.sqrt(limit / rate)
     ends = [(now * min(1, half) / 3, now * max(1, half) * 3) for now in (rate, made.Ts)]
