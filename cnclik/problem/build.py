@@ -67,8 +67,9 @@ class Problem:
         noise = None if self.noise is None else errors.array("noise", self.noise, (), (law.task.m,))
         if noise is not None and errors.concrete(noise) and not np.all(noise >= 0):
             raise errors.fail("noise", "be at least 0", f"is {np.asarray(noise).tolist()}")
+        whole = errors.integer if errors.concrete(self.seed) else errors.number
         checked = {
-            **{"q0": q0, "reference": reference, "noise": noise, "seed": errors.number("seed", self.seed, at_least=0)},
+            **{"q0": q0, "reference": reference, "noise": noise, "seed": whole("seed", self.seed, at_least=0)},
             "Ts": errors.number("Ts", self.Ts, positive=True),
             "N": errors.integer("N", self.N, at_least=1, at_most=errors.MOST),
             **{"method": named(self.method), "stage": names.stage_from(self.stage)},

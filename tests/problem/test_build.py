@@ -175,6 +175,7 @@ test_what_does_not_fit_is_named = refusals(
     ({"method": "BDF"}, "method"),
     ({"stage": "picrad"}, "did you mean 'picard'"),
     ({"M": -1}, "M"),
+    ({"seed": 1.5}, "`seed` must be an integer, but is 1.5"),
     ({"damping": 0}, "damping"),
     ({"threshold": 0.1}, "`threshold` must come with `damping`"),
     ({"damping_ratio": 0.7}, "`damping_ratio` must come with a natural_frequency"),
