@@ -304,15 +304,15 @@ def spec(metrics, N, fixed=(), **axes):
     return parse(made | {"axes": axes})
 
 
-def limit(fixed=(), drop=(), **axes):
-    """The coordinate of a variation of the spec: (dimensions, values), or None."""
+def limit(fixed=(), drop=(), name="limit", **axes):
+    """A coordinate of a variation of the spec: (dimensions, values), or None."""
     written = copy.deepcopy(SPEC)
     written["fixed"] |= dict(fixed)
     written["axes"] |= axes
-    for name in drop:
-        written["axes"].pop(name)
+    for dropped in drop:
+        written["axes"].pop(dropped)
     found = parse(written)
-    found = found.coordinates(found.grid()).get("limit")
+    found = found.coordinates(found.grid()).get(name)
     return found and found[:2]
 
 
@@ -328,12 +328,24 @@ def test_the_limit_is_over_the_axes_on_which_it_depends():
     assert limit({"method": "EE"}, ["method"]) == ((), 2.0)
     assert limit({"N": "round(1/Ts)"})[0] == ("method",)  # Ts is compiled in, and the limit doesn't depend on it
     assert limit({"alpha": "z/Ts"}, ["alpha"], z=[0.5, 1.5])[0] == ("method",)
-    assert limit({"alpha": "2*z/Ts"}, ["alpha"], z=[0.5, 1.5]) is None  # an axis z that is not alpha·Ts
     laws = {"exact": {}, "damped": {"damping": 0.1}}
     assert limit(method=["EE"], law=laws) == (("method",), [2.0])  # with damping a little more may be stable
     dims, values = limit(lag=[0.05, 0.3], method=["EE"])  # with a lag z depends on Ts
     assert dims == ("method", "Ts", "lag") and len(values.ravel()) == 4
     np.testing.assert_allclose(values[0, 1, 1], stable(Drive(lag=0.3)), rtol=1e-9)
+    assert limit(method=["EE"], lag=np.linspace(0.1, 0.2, 501).tolist()) is None  # too many
+
+
+def test_alpha_times_Ts_is_over_the_axes_on_which_it_depends():
+    """A Ts of tables, an expression, gains of which the largest counts, an axis z that is not alpha·Ts."""
+    cases = {"quick": {"Ts": "1ms"}, "slow": {"Ts": 0.1}}
+    dims, values = limit({"alpha": ["g", "2*g"]}, ["alpha", "Ts"], "alpha_Ts", g=[5.0, 10.0], case=cases)
+    assert dims == ("g", "case")
+    np.testing.assert_allclose(values, [[0.01, 1.0], [0.02, 2.0]], rtol=1e-9)
+    laws = {"one": {"alpha": "z/Ts"}, "two": {"alpha": "2*z/Ts"}}
+    dims, values = limit({"Ts": 0.1}, ["alpha", "Ts"], "alpha_Ts", z=[0.5, 1.5], law=laws)
+    assert dims == ("law", "z")
+    np.testing.assert_allclose(values, [[0.5, 1.5], [1.0, 3.0]], rtol=1e-9)
 
 
 def test_noise_at_rest_is_as_large_as_theory_says():
