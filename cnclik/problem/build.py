@@ -98,10 +98,7 @@ class Problem:
                 turns = getattr(part, "turns", False)
                 unit = "as w x y z" if turns else ", ".join(dict.fromkeys(part.units))
                 points.append(f"{in_words(quaternions(np.array(aim)) if turns else aim)} {unit}")
-            kind = type(curve := self.reference.curve).__name__.lower()
-            kind = "lissajous" if np.ndim(getattr(curve, "frequency", 1.0)) else kind
-            path = "Target" if self.reference.still else f"Path {kind}, from"
-            lines.append(f"{path} {', '.join(points)}")
+            lines.append(f"{'Target' if self.reference.still else 'Path from'} {', '.join(points)}")
         return "\n".join(lines)
 
     @property
