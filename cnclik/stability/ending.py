@@ -159,7 +159,7 @@ class _Case:
             left = self.error / self.size[self.before].max()
             return Behaviour.TOO_SHORT, f"{said}, {100 * left:.2g} % of that in the quarter before", NO_REMEDY
         why = "its tasks contradict each other there" if self.law.task.tasks else "the run does not show by what"
-        return Behaviour.HELD_BACK, f"{why}; {said} and stays", NO_REMEDY
+        return Behaviour.HELD_BACK, f"{why}; {said} and stays", self.unstable()
 
     def sizes(self, some):
         """‖e‖ at each instant, of some coordinates; None: of all that count."""

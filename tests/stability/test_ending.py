@@ -159,8 +159,10 @@ def test_noise_is_no_swing():
 def test_a_gain_above_the_largest_stable_one_is_said_of_a_calm_run():
     law = planar(19.9)
     run = ck.solve(law, ck.hold(TIP), Q5, 0.1, 60, "EE")
-    said = verdict(law, ck.hold(TIP), run, method="EE", drive=Drive(delay=1))
-    assert "above the largest stable gain" in str(said) and said.change["alpha"] < 10
+    wrong = ck.replace(run, e=np.full_like(run.e, 0.1))  # its error stays, and nothing shows why
+    for each, kind in ((run, "settled"), (wrong, "held back")):
+        said = verdict(law, ck.hold(TIP), each, method="EE", drive=Drive(delay=1))
+        assert "above the largest stable gain" in str(said) and said.change["alpha"] < 10 and said.kind == kind
 
 
 def test_runs_of_others_are_refused():
