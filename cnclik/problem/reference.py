@@ -66,7 +66,7 @@ def line(arm, period, target=None, start=None):
 
 def circle(arm, period, radius=None, phase=0.0):
     radius = arm_length(arm.chain) / 10 if radius is None else errors.number("radius", radius, positive=True)
-    here, rotation = _curved("circle", arm)
+    here, rotation = _curved("circle", arm, least=2)
     phase = errors.array("phase", phase, (), (1,)).reshape(())  # a list of one is a number
     about = paths.circle(np.zeros(len(here)), radius, period=1.0, phase=phase).curve
     return paths.circle(here - _known(about.first), radius, period=period, phase=phase, rotation=rotation)
@@ -147,9 +147,10 @@ def _away(arm):
     return _tip(chain, arm.q0 + xp.where(arm.q0 > middle, -size, size))
 
 
-def _curved(name, arm):
-    if not arm.task.position:
-        raise errors.fail("reference", "be hold, line or a file for a task without position", f"is {name!r}")
+def _curved(name, arm, least=1):
+    if len(arm.task.position) < least:
+        which = "without position" if not arm.task.position else "of one coordinate of a position"
+        raise errors.fail("reference", f"be hold, line or a file for a task {which}", f"is {name!r}")
     return _point("reference", None, arm)
 
 

@@ -169,6 +169,7 @@ test_what_does_not_fit_is_named = refusals(
     ({"reference": "circle", "radius": 0}, "positive"),
     ({"reference": "circle", "task": "orientation"}, "`reference` .* without position"),
     ({"reference": "lissajous", "task": "rz"}, "`reference` .* without position"),
+    ({"reference": "circle", "task": "xrz"}, "`reference` must be hold, .* of one coordinate of a position, but is"),
     ({"reference": "line", "period": 0}, "`period`"),
     ({"alpha": [1, 2]}, "alpha"),
     ({"N": 0}, "N"),
