@@ -132,7 +132,7 @@ def stability_map(
     return made
 
 
-def largest_stable(method, stage, drive=Drive(), *, Ts: float) -> float:
+def largest_stable(method, stage, drive, *, Ts: float) -> float:
     """Return the largest gain that is stable at any posture [1/s]; inf: any. Args: stage: or a number M of passes."""
     share = mixed_share(drive.joints, float(Ts))
     return gain_removing(share, method, passes_of(stage)) / float(Ts) if share else 0.0

@@ -25,7 +25,6 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
-from cnclik.integrate.method import named
 from cnclik.measure.dataset import provenance
 from cnclik.measure.metrics import DEFAULT, Metrics, measure_run
 from cnclik.measure.metrics import check as check_metrics
@@ -34,8 +33,7 @@ from cnclik.problem.build import Problem, drive_from, problem_from
 from cnclik.problem.names import load, stage_from
 from cnclik.problem.reference import OPTIONS as OF_PATHS
 from cnclik.reading import read_toml
-from cnclik.stability.gain import mixed_share
-from cnclik.stability.linear import gain_removing
+from cnclik.stability.maps import largest_stable
 from cnclik.sweeps import axes as forms
 from cnclik.sweeps.axes import COMPILED_IN, NAMES, Axis, compiled_in, known_keys
 from cnclik.sweeps.grid import UNITS, Grid
@@ -253,8 +251,8 @@ class Loop(dict):
 
 @functools.cache
 def _largest_z(method, stage, drive, Ts, M) -> float:
-    passes = M if named(method).implicit and stage == "picard" else None
-    return gain_removing(mixed_share((drive_from(dict(drive)) or Drive()).joints, Ts), method, passes)
+    passes = M if stage == "picard" else None
+    return Ts * largest_stable(method, passes, drive_from(dict(drive)) or Drive(), Ts=Ts)
 
 
 # --- reading ------------------------------------------------------------------------------------------
