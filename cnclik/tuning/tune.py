@@ -229,7 +229,7 @@ def objective_of(law, parameters, references, q0, Ts, how, loss, drive, noise=No
     return Objective(
         law=law,
         parameters=parameters,
-        scenarios=stack(tuple(some[i % len(some)] for some in every.values()) for i in range(count)),
+        scenarios=_stacked(tuple(some[i % len(some)] for some in every.values()) for i in range(count)),
         Ts=np.asarray(float(Ts)),
         how=how,
         drive=check_drive(drive, law.chain),
@@ -237,6 +237,16 @@ def objective_of(law, parameters, references, q0, Ts, how, loss, drive, noise=No
         counts=_counts(law, parameters) if law.task.tasks else None,
         limits=np.broadcast_to(limits, (n,)),
     )
+
+
+def _stacked(scenarios):
+    try:
+        made = stack(scenarios)
+        jax.tree.map(jnp.asarray, made)  # functions are none
+    except (AttributeError, TypeError, ValueError):
+        must = "be paths of one kind, such as lines, for several runs of one program"
+        raise errors.fail("reference", must, "are of several, or different functions") from None
+    return made
 
 
 def _counts(law, parameters):
