@@ -110,7 +110,7 @@ def stability_map(
     loops = jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *endings)
 
     def limit(Ts, M=None):
-        return largest_stable(method, stage if M is None else int(M), drive, Ts=Ts)
+        return largest_stable(method, stage if M is None else replace(stage, M=int(M)), drive, Ts=Ts)
 
     made = xr.Dataset(
         {name: (axes, getattr(loops, name)) for name in RESULTS},
