@@ -198,7 +198,10 @@ def gain_table(*, Ts, dead_time, drive: Drive = Drive(), method: MethodLike = DE
 
 def assumed_drive(Ts: float) -> Drive:
     """Return the drive that is assumed where nothing is known."""
-    return Drive(delay=min(ASSUMED_DELAY / Ts, MOST - SPARE), lag=ASSUMED_LAG)
+    if ASSUMED_DELAY / Ts > MOST:
+        must = f"be given, such as a delay: the 30 ms of dead time that are assumed are more than {MOST} samples"
+        raise errors.fail("drive", must, f"is unknown, with a Ts of {1e3 * Ts:g} ms")
+    return Drive(delay=ASSUMED_DELAY / Ts, lag=ASSUMED_LAG)
 
 
 # --- limits -------------------------------------------------------------------------------------------
