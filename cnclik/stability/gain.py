@@ -180,7 +180,7 @@ def gain_table(*, Ts, dead_time, drive: Drive = Drive(), method: MethodLike = DE
     import xarray as xr
 
     Ts, dead_time = (np.asarray(errors.array(k, v, (None,)), float) for k, v in (("Ts", Ts), ("dead_time", dead_time)))
-    drive = replace(drive, measurement_delay=0)
+    drive = replace(errors.kind("drive", drive, Drive, "be Drive(...)"), measurement_delay=0)
     rows = [[gains(Ts=T, drive=replace(drive, delay=d / T), method=method, M=M) for d in dead_time] for T in Ts]
     names = ("largest_stable", "without_overshoot", "recommended")
     return xr.Dataset(

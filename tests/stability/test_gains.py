@@ -293,6 +293,8 @@ test_bad_input_is_named = refusals(
     (lambda: ck.gains(Ts=0.01, method="EEE"), "`method` must be one of"),
     (lambda: ck.gains(Ts=0.01, method="IE", M=-1), "`M` must be at least 0"),
     (lambda: ck.gains(Ts=0.01).at(0.0), "`alpha` must be positive"),
+    (lambda: gain_table(Ts=[0.01], dead_time=[0.0], drive=None), "`drive` must be Drive"),
+    (lambda: gain_table(Ts=[], dead_time=[0.0]), "`Ts` must hold numbers, but is empty"),
     (lambda: ck.gains(Ts=1e-4), "`drive` must be given, such as a delay: .* but is unknown, with a Ts of 0.1 ms"),
     (lambda: Drive(smoothing=-0.1), "`smoothing` must be at least 0"),
     (lambda: Drive(cutoff=0.0), "`cutoff` must be positive"),
