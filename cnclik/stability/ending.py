@@ -99,7 +99,8 @@ def _verdict(law, reference, run, dtype, method, stage, drive, noise) -> Verdict
         raise errors.fail("run", "have at least one step", "has none")
     Ts = float(run.t[-1] - run.t[0]) / len(run.residual)
     drive = check_drive(Drive() if drive is None else drive, law.chain)
-    sigma = 0.0 if noise is None else float(np.linalg.norm(np.broadcast_to(np.asarray(noise, float), (law.task.m,))))
+    noise = errors.array("noise", 0.0 if noise is None else noise, (), (law.task.m,), at_least=0)
+    sigma = float(np.linalg.norm(np.broadcast_to(noise, (law.task.m,))))
     try:
         advice = advise(law, Ts=Ts, method=method, stage=stage, drive=drive)
     except errors.ArgumentError:  # joints with different drives and tasks with different gains: no gain is safe

@@ -169,5 +169,7 @@ def test_runs_of_others_are_refused():
     law, run = planar(5.0), ck.solve(planar(5.0), NEAR, Q5, 0.1, 20)
     with pytest.raises(ArgumentError, match="`run` must be a Trajectory of this law"):
         verdict(ck.Law(PANDA, ck.position(), alpha=5.0), ck.hold(P0), run)
+    with pytest.raises(ArgumentError, match="`noise` must be at least 0, but is -1"):
+        verdict(law, NEAR, run, noise=[1e-3, -1.0])
     with pytest.raises(ArgumentError, match="at least one step"):
         verdict(law, NEAR, ck.solve(law, NEAR, Q5, 0.1, 0))
