@@ -64,6 +64,8 @@ def stability_map(
 
     method, largest = named(method), float(np.max(np.asarray(law.alpha)))
     check_loop(law, reference)
+    if not reference.still:
+        raise errors.fail("reference", "be constant, as hold(...) is", "moves")
     check_drive(drive, law.chain)
     N = errors.integer("N", N, at_least=4, at_most=errors.MOST)
     errors.number("tolerance", tolerance, positive=True)
