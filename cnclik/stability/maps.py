@@ -67,6 +67,7 @@ def stability_map(
     if not reference.still:
         raise errors.fail("reference", "be constant, as hold(...) is", "moves")
     check_drive(drive, law.chain)
+    errors.kind("stage", stage, Stage, "be a stage such as picard(5)")
     N = errors.integer("N", N, at_least=4, at_most=errors.MOST)
     errors.number("tolerance", tolerance, positive=True)
     errors.kind("progress", progress, (Callable, type(None)), "be a function or None")

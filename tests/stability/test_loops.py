@@ -151,6 +151,7 @@ test_bad_maps_are_named = refusals(
     (dict(N=2), "`N` must be at least 4"),
     (dict(alpha=[np.nan]), "`alpha` must be finite"),
     (dict(reference=ck.circle([0.4, 0, 0.5], 0.1, period=1.0)), "`reference` must be constant, .* but moves"),
+    (dict(stage="picard"), "`stage` must be a stage such as picard"),
     (dict(alpha=[-5.0, 5.0]), "`alpha` must be at least 0"),
     (dict(alpha=[]), "`alpha` must hold numbers, but is empty"),
     of=lambda **change: stability_map(**(dict(law=LAW, reference=TARGET, q0=QP, alpha=[1.0, 2.0], Ts=0.1) | change)),
