@@ -57,7 +57,6 @@ def run(
     if robot is None and alone and "map" not in draw:
         raise errors.fail(alone[0], "come with ROBOT or --draw map", "comes without")
     if draw:
-        errors.integer("N", given.get("N", 100), at_least=4, at_most=errors.MOST)
         load_ahead("cnclik.show.style")
     if made is None:
         drive, known = {name: value for name, value in given.items() if name in DRIVE}, DEFAULTS | given

@@ -164,10 +164,8 @@ class Spec:
         z = None if alpha is None or Ts is None else alpha * Ts
         each = {LIMIT: (limit, "largest stable z of linear theory"), Z: (z, "z = α·Ts")}
         coords = of.coordinates(self.all_units())
-        for name, (values, about) in each.items():
-            if values is not None:
-                coords[name] = (values.dims, values.values, {"units": "1", "long_name": about})
-        return coords
+        about = {name: {"units": "1", "long_name": words} for name, (_, words) in each.items()}
+        return coords | {name: (v.dims, v.values, about[name]) for name, (v, _) in each.items() if v is not None}
 
     def _over(self, of: Grid, name, most):
         """Return the largest entry of a value over the axes that it depends on; None for more than `most` of them."""

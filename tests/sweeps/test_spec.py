@@ -334,16 +334,8 @@ def test_the_limit_is_over_the_axes_on_which_it_depends():
     assert dims == ("method", "Ts", "lag") and len(values.ravel()) == 4
     np.testing.assert_allclose(values[0, 1, 1], stable(Drive(lag=0.3)), rtol=1e-9)
     assert limit(method=["EE"], lag=np.linspace(0.1, 0.2, 501).tolist()) is None  # too many
-
-
-def test_alpha_times_Ts_is_over_the_axes_on_which_it_depends():
-    """A Ts of tables, an expression, gains of which the largest counts, an axis z that is not alpha·Ts."""
-    cases = {"quick": {"Ts": "1ms"}, "slow": {"Ts": 0.1}}
-    dims, values = limit({"alpha": ["g", "2*g"]}, ["alpha", "Ts"], "alpha_Ts", g=[5.0, 10.0], case=cases)
-    assert dims == ("g", "case")
-    np.testing.assert_allclose(values, [[0.01, 1.0], [0.02, 2.0]], rtol=1e-9)
-    laws = {"one": {"alpha": "z/Ts"}, "two": {"alpha": "2*z/Ts"}}
-    dims, values = limit({"Ts": 0.1}, ["alpha", "Ts"], "alpha_Ts", z=[0.5, 1.5], law=laws)
+    quick, slow = {"alpha": "z/Ts", "Ts": "1ms"}, {"alpha": ["2*z/Ts", "z"], "Ts": 0.1}  # z is no alpha·Ts
+    dims, values = limit({}, ["alpha", "Ts"], "alpha_Ts", z=[0.5, 1.5], law={"quick": quick, "slow": slow})
     assert dims == ("law", "z")
     np.testing.assert_allclose(values, [[0.5, 1.5], [1.0, 3.0]], rtol=1e-9)
 
