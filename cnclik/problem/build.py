@@ -216,7 +216,7 @@ def problem_from(
         stage=names.stage_from(v["stage"], v["M"]),
         drive=drive_from({name: v[name] for name in drive}),
         name=names.robot_name(robot, tip),
-        robot=None if isinstance(robot, Chain) else str(robot),
+        robot=None if isinstance(robot, Chain) or names.is_built_in(robot) else str(robot),
         **{name: v[name] for name in ("Ts", "N", "method", "noise", "seed")},
     )
 

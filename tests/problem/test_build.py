@@ -101,7 +101,8 @@ def test_waypoint_files(tmp_path):
 
 
 def test_a_joint_may_stop_at_its_limit_in_one_step():
-    assert float(p.problem_from("panda", damping=0.1, limits="bounded", Ts=0.5).law.limits.rate) == 2.0
+    made = p.problem_from("panda", damping=0.1, limits="bounded", Ts=0.5)
+    assert float(made.law.limits.rate) == 2.0 and made.robot is None  # nor are meshes in a folder called panda
 
 
 def test_waypoints_with_a_speed_in_place_of_times(tmp_path):
