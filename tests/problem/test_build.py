@@ -100,6 +100,14 @@ def test_waypoint_files(tmp_path):
     np.testing.assert_allclose(reference_from(str(file), arm, task, q0).curve(0.0)[0], start, atol=1e-12)
 
 
+def test_a_path_begins_at_the_tip_that_is_named():
+    fork = ck.join(ck.planar_arm([1.0, 0.8]), ck.planar_arm([0.5]), prefix="b_", keep=True)
+    for tip in ("tip", "b_tip"):
+        made = p.problem_from(fork, tip=tip, task="xy", reference="circle", q0=[0.3, 0.8, 0.5])
+        at = ck.forward(fork, made.q0, tip=tip).position[:2]
+        np.testing.assert_allclose(made.reference.curve(0.0)[0], at, atol=1e-6)
+
+
 def test_a_joint_may_stop_at_its_limit_in_one_step():
     made = p.problem_from("panda", damping=0.1, limits="bounded", Ts=0.5)
     assert float(made.law.limits.rate) == 2.0 and made.robot is None  # nor are meshes in a folder called panda
