@@ -68,6 +68,7 @@ def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, 
 def test_what_a_loop_did_and_what_to_change(tmp_path, capsys):
     """The exit code is that of a command that did its work; what --json prints mends the loop."""
     assert "the gain is 0" in shown(capsys, *ARM, "--alpha", "0", "--no-figures", "--out", tmp_path)
+    assert "(q1), no limits" in shown(capsys, *ARM, "--alpha", "1e308", "--no-figures", "--out", tmp_path)  # not finite
     loop = ["solve", "planar:1,1", "--task", "xy", "--target", "0.5", "1.2", "--Ts", "0.1", "--method", "EE", "--N", 40]
     loop += ["--no-figures", "--json", "--out", tmp_path]
     swings = json.loads(shown(capsys, *loop, "--alpha", "26"))["verdict"]
