@@ -188,6 +188,7 @@ test_everything_wrong_is_said_in_one_line = refusals(
     ({"fixed__alpha": "z*(method*1000000000)"}, "method is a name, not a number"),
     ({"fixed__Ts": "alpha*1"}, "not depend on itself, but does, through"),
     ({"fixed__alpha": "z*limit/Ts", "fixed__M": "round(alpha)", "axes__M": None}, "not depend on itself"),
+    ({"axes__seed": [0, 0.5]}, "`axes.seed` must hold one whole number each, but is [0, 0.5]"),
     ({"fixed__Ts": True}, "`fixed.Ts` must be a number"),
     ({"fixed__N": 2.5}, "`N` must be an integer"),
     ({"fixed__robot": None}, "`robot` must be given in [fixed] or [axes]"),
