@@ -132,7 +132,7 @@ def kind(name: str, value, of, must: str | None = None):
 
 
 def array(name: str, value, *shapes, finite=True, positive=False, at_least=None, most=None, of="numbers") -> "Array":
-    """A real array of one of the shapes (None matches any length); returned as an array of float32 or float64.
+    """A real array of one of the shapes (None matches any length but 0); returned as one of float32 or float64.
 
     Args: most: what no entry is beyond, of either sign. of: what the entries are, such as "joint values".
     """
@@ -152,8 +152,11 @@ def array(name: str, value, *shapes, finite=True, positive=False, at_least=None,
         found = np.ma.filled(found.astype(float), np.nan)
     if found.dtype.char not in "fd" or not found.dtype.isnative:  # JAX takes no other byte order
         found = found.astype(float)
-    if shapes and found.shape not in shapes and not any(_fits(found.shape, shape) for shape in shapes):
-        raise _misshapen(name, found.shape, shapes, of)
+    if shapes and found.shape not in shapes:
+        if not any(_fits(found.shape, shape) for shape in shapes):
+            raise _misshapen(name, found.shape, shapes, of)
+        if not found.size:
+            raise fail(name, f"hold {of}", "is empty")
     if concrete(found):
         known = np.asarray(found)
         # A product of finite numbers is mostly finite, and five times quicker than a look at each of few.

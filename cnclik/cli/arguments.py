@@ -57,7 +57,8 @@ def _sorted(verb, groups) -> tuple:
 def parse(verb, argv, *, prog, description) -> dict:
     """{argument: value} of `verb.run`; `--help` prints and exits.
 
-    Shared options are there only if they are given, their numbers as `Quantities`.
+    Shared options are there only if they are given, their numbers as `Quantities`; samples as texts, as they may need a
+    file's Ts.
 
     Raises: ArgumentError with the option, what it must be and what it is, or with the nearest name.
     """
@@ -92,10 +93,7 @@ def parse(verb, argv, *, prog, description) -> dict:
         if one in words and not (one.several and one.kind == NAME):
             raise errors.fail(one.name, "be given once", "is given twice")
         words[one] = [*words.get(one, []), *several]
-    Ts = next((one.default for one in named.values() if one.name == "Ts"), None)
-    for one in sorted(words, key=lambda one: one.unit == quantities.SAMPLES):  # samples last: they need Ts
-        made[one.name] = value = _value(one, words[one], Ts)
-        Ts = value[0] if one.name == "Ts" and isinstance(value, list) else Ts
+    made |= {one.name: _value(one, some) for one, some in words.items()}
     for one in (*free, *named.values()):
         if one.name not in made and one.default is REQUIRED:
             kind, what = ("Argument", f": {one.help.rstrip('.')}") if one.positional else ("Option", "")
@@ -114,14 +112,16 @@ def _is_option(token) -> bool:
     return re.match(r"-(?!\.?\d|inf|nan|$)", token) is not None  # no negative number
 
 
-def _value(one, words, Ts):
+def _value(one, words):
     """The value of some words. Raises: ArgumentError where they don't fit."""
     for word in words if one.choices else ():
         if word not in one.choices:
             raise errors.fail(one.name, f"be {one.values}", f"is {word!r}")
     if one.kind == NAME:
         return tuple(words) if one.several else words[0]
-    numbers = numbers_of(one, " ".join(words), Ts)
+    if one.unit == quantities.SAMPLES:
+        return " ".join(words)
+    numbers = numbers_of(one, " ".join(words))
     if one is OPTIONS.get(one.name) or one.several:
         return numbers
     return int(numbers[0]) if one.kind == INTEGER else numbers[0]

@@ -39,7 +39,7 @@ def run(
         from cnclik.measure.dataset import labelled
         from cnclik.measure.files import save_netcdf
 
-        data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop))
+        data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop, made.Ts))
         try:  # before a reader of the answer may leave
             folder.write("trajectory.nc", functools.partial(save_netcdf, data))
         finally:  # on a full disk, too
@@ -84,7 +84,8 @@ def _facts(law, run) -> dict:
                 rms, largest, last = (aloud(float(v), unit) for v in (np.sqrt(np.mean(size**2)), size.max(), size[-1]))
                 facts[f"{name} error [{unit}]".strip()] = f"RMS {rms}, largest {largest}, last {last}"
     most = np.nan_to_num(np.abs(np.asarray(run.qdot, float)).max(axis=0), nan=np.inf)
-    share = most / np.maximum(np.array(law.chain.velocity_limit, float), 1e-12)
+    limits = np.maximum(np.array(law.chain.velocity_limit, float), 1e-12)
+    share = np.divide(most, limits, where=np.isfinite(limits), out=np.zeros_like(most))
     i = int(np.argmax(share if share.any() else most))
     fast = f"up to {plainly(most[i])} {law.chain.units[i]}/s ({law.chain.joint_names[i]})"
     limit = f", {plainly(100 * share[i])} % of its limit" if share.any() else ", no limits"

@@ -49,21 +49,20 @@ def run(
     from cnclik.integrate.drive import Drive
     from cnclik.stability.gain import gains
 
-    given, made = in_own_units(loop), None
     if json and draw:
         raise errors.fail("json", "be left out with --draw", "is given")
+    made = None if robot is None else problem(robot, loop)
+    given = in_own_units(loop) if made is None else in_own_units(loop, made.Ts)
     alone = [name for name in given if name not in (*DRIVE, "Ts", "method", "M", "alpha")]
     if robot is None and alone and "map" not in draw:
         raise errors.fail(alone[0], "come with ROBOT or --draw map", "comes without")
     if draw:
-        errors.integer("N", given.get("N", 100), at_least=4, at_most=errors.MOST)
         load_ahead("cnclik.show.style")
-    if robot is None:
+    if made is None:
         drive, known = {name: value for name, value in given.items() if name in DRIVE}, DEFAULTS | given
         how = {name: known[name] for name in ("Ts", "method", "M")}
         found = gains(**how, drive=Drive(**drive) if drive else None)
     else:
-        made = problem(robot, loop)
         found = gains(Ts=made.Ts, method=made.method, M=made.stage, drive=made.drive)
     if draw != ("plane",):
         facts = _facts(found, given.get("alpha", ()))
@@ -243,8 +242,8 @@ def _map(found, given, made):
 
     drive = Drive() if found.assumed else found.drive
     made = made or problem("planar-clockwise:1,1,1,1,1", given)
-    rate = float(np.max(np.asarray(made.law.alpha)))
-    limit = min(largest_stable(made.method, made.stage, drive, Ts=made.Ts), 20 / made.Ts)
+    rate = float(errors.number("alpha", np.max(np.asarray(made.law.alpha)), positive=True))
+    limit = min(largest_stable(made.method, made.stage, drive, Ts=made.Ts) or rate, 20 / made.Ts)
     # The gain and the sampling time each cover half the ratio to the limit, so that both reach it in the picture.
     half = np.sqrt(limit / rate)
     ends = [(now * min(1, half) / 3, now * max(1, half) * 3) for now in (rate, made.Ts)]

@@ -87,8 +87,6 @@ class Drive:
         for name in ["lag"] * lag + ["natural_frequency", "damping_ratio"] * servo:
             size, shapes = {"positive": True, "at_least": 1 / LARGEST, "most": LARGEST}, ((), (None,), (None, 1))
             checked[name] = errors.array(name, getattr(self, name), *shapes, **size)
-            if not np.size(checked[name]):
-                raise errors.fail(name, "be a number, or one per joint", "is empty")
         if not _none(self.smoothing):
             if self.cutoff is not None:
                 must = "be left out where there is a smoothing: a filter has one of both"

@@ -85,11 +85,6 @@ def _max(values):
     return jnp.max(_finite(values), initial=0)
 
 
-def _first(hit):
-    """Return the index of the first True; the length if there is none."""
-    return jnp.min(jnp.where(hit, jnp.arange(len(hit)), len(hit)))
-
-
 def _count(hit):
     return jnp.sum(hit.astype(jnp.int32))
 
@@ -105,8 +100,7 @@ def _along(of):
 
 
 def _steps_to_tolerance(of):
-    k, count = _first(of.size <= of.tolerance), len(of.run.t)
-    return jnp.where(k < count, k, jnp.inf)
+    return jnp.min(jnp.where(of.size <= of.tolerance, jnp.arange(len(of.run.t)), jnp.inf))
 
 
 def _ending(of):

@@ -102,7 +102,7 @@ def outcome(
     Args:
       law, reference, q0, Ts, N, method, stage: as for `solve`; nothing is checked here.
       drive: what lies between command and motion; the error is that of the true motion.
-      model: the drive as `moving` samples it, where that is known.
+      model: the drive as `sampled` gives it, where that is known.
       tolerance: fraction of the initial ‖e‖, which must not be 0, that counts as arrived.
     """
     loop = loop_of(law, reference, q0, Ts, N, named(method), stage, drive=drive, model=model)

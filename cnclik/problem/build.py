@@ -67,8 +67,9 @@ class Problem:
         noise = None if self.noise is None else errors.array("noise", self.noise, (), (law.task.m,))
         if noise is not None and errors.concrete(noise) and not np.all(noise >= 0):
             raise errors.fail("noise", "be at least 0", f"is {np.asarray(noise).tolist()}")
+        whole = errors.integer if errors.concrete(self.seed) else errors.number
         checked = {
-            **{"q0": q0, "reference": reference, "noise": noise, "seed": errors.number("seed", self.seed, at_least=0)},
+            **{"q0": q0, "reference": reference, "noise": noise, "seed": whole("seed", self.seed, at_least=0)},
             "Ts": errors.number("Ts", self.Ts, positive=True),
             "N": errors.integer("N", self.N, at_least=1, at_most=errors.MOST),
             **{"method": named(self.method), "stage": names.stage_from(self.stage)},
@@ -97,10 +98,7 @@ class Problem:
                 turns = getattr(part, "turns", False)
                 unit = "as w x y z" if turns else ", ".join(dict.fromkeys(part.units))
                 points.append(f"{in_words(quaternions(np.array(aim)) if turns else aim)} {unit}")
-            kind = type(curve := self.reference.curve).__name__.lower()
-            kind = "lissajous" if np.ndim(getattr(curve, "frequency", 1.0)) else kind
-            path = "Target" if self.reference.still else f"Path {kind}, from"
-            lines.append(f"{path} {', '.join(points)}")
+            lines.append(f"{'Target' if self.reference.still else 'Path from'} {', '.join(points)}")
         return "\n".join(lines)
 
     @property
@@ -218,7 +216,7 @@ def problem_from(
         stage=names.stage_from(v["stage"], v["M"]),
         drive=drive_from({name: v[name] for name in drive}),
         name=names.robot_name(robot, tip),
-        robot=None if isinstance(robot, Chain) else str(robot),
+        robot=None if isinstance(robot, Chain) or names.is_built_in(robot) else str(robot),
         **{name: v[name] for name in ("Ts", "N", "method", "noise", "seed")},
     )
 

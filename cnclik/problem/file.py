@@ -9,7 +9,6 @@ import traceback
 
 from cnclik import errors
 from cnclik.problem.build import Problem, drive_from, problem_from
-from cnclik.problem.names import stage_from
 from cnclik.problem.options import DRIVE, OPTIONS, check_units, in_own_units
 from cnclik.reading import read_bytes
 
@@ -28,7 +27,6 @@ def problem_of(robot, **options) -> Problem:
     path = pathlib.Path(str(robot))
     if path.suffix != ".py":
         return problem_from(robot, **options)
-    options |= in_own_units({name: value for name, value in options.items() if name in OPTIONS})
     make = _executed(path).get("problem")
     if not callable(make):
         raise errors.fail("robot", "name a Python file with a function problem()", f"{path.name} has none")
@@ -37,6 +35,8 @@ def problem_of(robot, **options) -> Problem:
         if name not in (*takes, *_LOOP):
             must = f"be an argument of problem() in {path.name}, or be left out"
             raise errors.fail(name, must, f"is given, and problem() takes {', '.join(takes) or 'none'}")
+    early = {name: value for name, value in options.items() if name in OPTIONS and name in (*takes, "Ts")}
+    options |= in_own_units(early, Ts=None)  # that of the file is not known yet
     made = _called(path, lambda: make(**{name: value for name, value in options.items() if name in takes}))
     if isinstance(made, tuple):
         made = dict(zip(("law", "reference", "q0", "drive"), made, strict=False))
@@ -48,9 +48,9 @@ def problem_of(robot, **options) -> Problem:
         must = "return a law, a reference and q0, as a tuple or a dict"
         raise errors.fail(f"problem() in {path.name}", must, f"returns {made!r}")
     check_units("q0", options.get("q0"), made.law.chain)
-    loop = {name: value for name, value in options.items() if name not in takes}
+    loop = in_own_units({name: value for name, value in options.items() if name not in takes}, made.Ts)
     if "M" in loop:
-        loop["stage"] = stage_from("picard", loop.pop("M"))
+        loop["stage"] = dataclasses.replace(made.stage, M=loop.pop("M"))
     drive = drive_from({name: loop.pop(name) for name in DRIVE if name in loop}, made.drive)
     return dataclasses.replace(made, **loop, drive=drive)
 

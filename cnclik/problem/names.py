@@ -41,7 +41,7 @@ def load(
     """
     if isinstance(robot, (str, os.PathLike)) and not text_of(robot):
         name, file = str(robot), None
-        if name.partition(":")[0] in (*ROBOTS, *PLANAR):
+        if is_built_in(name):
             for key, value in {"tip": tip, "base": base, "tips": tips, "freeze": freeze}.items():
                 if value is not None:
                     raise errors.fail(key, f"be left out for the robot {name!r}", f"is {value!r}")
@@ -66,12 +66,16 @@ def _built_in(name) -> Chain:
     return planar_arm(metres, clockwise=kind != "planar")
 
 
-def robot_name(robot, tip=None) -> str:
+def is_built_in(robot) -> bool:
+    """Whether it is the name of a built-in robot, such as planar:1,1."""
+    return str(robot).partition(":")[0] in (*ROBOTS, *PLANAR)
+
+
+def robot_name(robot, tip) -> str:
     """The name of a robot in titles: its file's name without folder, and the tip if it is given."""
     if isinstance(robot, Chain):
         return f"{robot.n}-joint chain"
-    text = str(robot)
-    name = text if text.partition(":")[0] in (*ROBOTS, *PLANAR) else pathlib.Path(text).stem
+    name = str(robot) if is_built_in(robot) else pathlib.Path(str(robot)).stem
     return f"{name} {tip}" if tip else name
 
 

@@ -107,15 +107,15 @@ def numbers_of(one: Option, value, Ts=None) -> Quantities:
     return numbers
 
 
-def in_own_units(given: dict) -> dict:
-    """Return {option: value} with texts such as "34ms" as numbers in the option's own unit."""
+def in_own_units(given: dict, Ts=DEFAULTS["Ts"]) -> dict:
+    """Return {option: value} with texts such as "34ms" as numbers in the option's own unit. Args: Ts: if not given."""
     made = dict(given)
     for name in sorted(given, key=lambda name: OPTIONS[name].unit == SAMPLES):  # samples last: they need Ts
         one, value = OPTIONS[name], given[name]
         several = one.several and isinstance(value, (list, tuple)) and any(isinstance(v, str) for v in value)
         if one.kind != NAME and (isinstance(value, str) or several):
-            Ts = made.get("Ts", DEFAULTS["Ts"]) if one.unit == SAMPLES else None
-            value = numbers_of(one, value, Ts and errors.number("Ts", Ts, positive=True))
+            of = made.get("Ts", Ts) if one.unit == SAMPLES else None
+            value = numbers_of(one, value, of and errors.number("Ts", of, positive=True))
         if isinstance(value, Quantities) and len(value) == 1 and one.unit not in ("q", "x"):
             value = (int if one.kind == INTEGER else float)(value[0])
         made[name] = value

@@ -49,7 +49,8 @@ def reference_from(name, chain: Chain, task: Task, q0, *, horizon=10.0, **option
     for key, value in given.items():
         if key not in takes:
             raise errors.fail(key, f"be left out for the reference {name!r}", f"is {value!r}")
-    return maker(Arm(chain, task, q0, _tip(chain, q0)), **({"period": horizon} if "period" in takes else {}) | given)
+    given = ({"period": horizon} if "period" in takes else {}) | given
+    return maker(Arm(chain, task, q0, _tip(chain, task, q0)), **given)
 
 
 def hold(arm, target=None):
@@ -66,7 +67,7 @@ def line(arm, period, target=None, start=None):
 
 def circle(arm, period, radius=None, phase=0.0):
     radius = arm_length(arm.chain) / 10 if radius is None else errors.number("radius", radius, positive=True)
-    here, rotation = _curved("circle", arm)
+    here, rotation = _curved("circle", arm, least=2)
     phase = errors.array("phase", phase, (), (1,)).reshape(())  # a list of one is a number
     about = paths.circle(np.zeros(len(here)), radius, period=1.0, phase=phase).curve
     return paths.circle(here - _known(about.first), radius, period=period, phase=phase, rotation=rotation)
@@ -125,10 +126,10 @@ def on_path(chain: Chain, task, reference, q0):
 # --- points -------------------------------------------------------------------------------------------
 
 
-def _tip(chain, q):
-    """Position and rotation of the tip."""
-    at = At(modelled(chain), np.asarray(q, float) if errors.concrete(q) else q)
-    return _known(at.position(None, None)), _known(at.rotation(None, None))
+def _tip(chain, task, q):
+    """Position and rotation of the task's tip."""
+    at, tip = At(modelled(chain), np.asarray(q, float) if errors.concrete(q) else q), task.parts[0].tip
+    return _known(at.position(tip)), _known(at.rotation(tip))
 
 
 def _known(values):
@@ -144,12 +145,13 @@ def _away(arm):
     with np.errstate(invalid="ignore"):
         middle = (lower + upper) / 2  # NaN without limits: upwards
     size = np.minimum([0.1 if unit == "m" else 0.3 for unit in chain.units], (upper - lower) / 4)
-    return _tip(chain, arm.q0 + xp.where(arm.q0 > middle, -size, size))
+    return _tip(chain, arm.task, arm.q0 + xp.where(arm.q0 > middle, -size, size))
 
 
-def _curved(name, arm):
-    if not arm.task.position:
-        raise errors.fail("reference", "be hold, line or a file for a task without position", f"is {name!r}")
+def _curved(name, arm, least=1):
+    if len(arm.task.position) < least:
+        which = "without position" if not arm.task.position else "of one coordinate of a position"
+        raise errors.fail("reference", f"be hold, line or a file for a task {which}", f"is {name!r}")
     return _point("reference", None, arm)
 
 

@@ -41,7 +41,7 @@ def reach(
 
     Called with numbers it works in float64, whatever JAX's setting, on all cores, and returns NumPy arrays; the same
     numbers give the same answers. Under jit, vmap and grad it is a pure function in JAX's dtype; in float32 the
-    tolerance is at least 1e-5. Derivatives with respect to targets and geometry are dq = J# de, with joints at their
+    tolerance is at least 8e-6. Derivatives with respect to targets and geometry are dq = J# de, with joints at their
     limits held constant.
 
     Args:

@@ -19,8 +19,9 @@ from matplotlib.figure import Figure
 
 from cnclik import errors
 from cnclik.show import style
+from cnclik.sweeps import summary
 from cnclik.sweeps.axes import known_keys
-from cnclik.sweeps.summary import main_value, scalars, text
+from cnclik.sweeps.summary import main_value, scalars, text, unit_of
 
 LONGEST = 8  # a longer dimension gets no panels
 MOST_IN_A_ROW = 5  # panels
@@ -218,11 +219,10 @@ def best(view, layout):
 
 def share_of_limit(part, layout):
     """Return z over the largest limit in the cells (y, x) of a plane of alpha and Ts, or one of z; None without one."""
-    plane, limit = (layout.y, layout.x), part.coords.get("limit")
-    if limit is None or not ("z" in plane or set(plane) == {"alpha", "Ts"}):
+    plane, share = (layout.y, layout.x), summary.share_of_limit(part)
+    if share is None or not ("z" in plane or set(plane) == {"alpha", "Ts"}):
         return None
-    z = part["z"] if "z" in plane else part["alpha"] * part["Ts"]
-    share = z / limit.max([dim for dim in limit.dims if dim not in plane])
+    share = share.min([dim for dim in share.dims if dim not in plane])
     return (share + 0 * (part[layout.x] + part[layout.y])).transpose(*plane).values
 
 
@@ -323,7 +323,7 @@ class Panels:
         """Return the figure with labels of its axes and a title."""
         plt.setp(self.axes[-1], xlabel=axis_label(self.view[self.layout.x]))
         plt.setp(self.axes[:, 0], ylabel=textwrap.fill(axis_label(y), max(16, int(self.high / LETTER))))
-        fixed = [c for name, c in self.view.coords.items() if c.ndim == 0 and name != "limit"]
+        fixed = [c for name, c in self.view.coords.items() if c.ndim == 0 and name not in ("limit", "alpha_Ts")]
         self.figure.suptitle(self.layout.table.get("title") or ", ".join(map(described, fixed)))
         return self.figure
 
@@ -358,14 +358,12 @@ def described(coordinate) -> str:
     value = coordinate.values.item()
     if isinstance(value, str):
         return value
-    name, unit = _name(coordinate).partition(" = ")[0], coordinate.attrs.get("units", "")
-    return f"{name} = {text(value)} {unit}".removesuffix(" 1").strip()
+    return f"{_name(coordinate).partition(' = ')[0]} = {text(value)} {unit_of(coordinate)}".strip()
 
 
 def axis_label(variable) -> str:
     """Return the variable's name and unit: "α [1/s]"."""
-    unit = variable.attrs.get("units", "")
-    return f"{_name(variable)} [{unit}]" if unit not in ("", "1") else _name(variable)
+    return f"{_name(variable)} [{unit}]" if (unit := unit_of(variable)) else _name(variable)
 
 
 def _name(variable):

@@ -99,7 +99,8 @@ def _verdict(law, reference, run, dtype, method, stage, drive, noise) -> Verdict
         raise errors.fail("run", "have at least one step", "has none")
     Ts = float(run.t[-1] - run.t[0]) / len(run.residual)
     drive = check_drive(Drive() if drive is None else drive, law.chain)
-    sigma = 0.0 if noise is None else float(np.linalg.norm(np.broadcast_to(np.asarray(noise, float), (law.task.m,))))
+    noise = errors.array("noise", 0.0 if noise is None else noise, (), (law.task.m,), at_least=0)
+    sigma = float(np.linalg.norm(np.broadcast_to(noise, (law.task.m,))))
     try:
         advice = advise(law, Ts=Ts, method=method, stage=stage, drive=drive)
     except errors.ArgumentError:  # joints with different drives and tasks with different gains: no gain is safe
@@ -159,7 +160,7 @@ class _Case:
             left = self.error / self.size[self.before].max()
             return Behaviour.TOO_SHORT, f"{said}, {100 * left:.2g} % of that in the quarter before", NO_REMEDY
         why = "its tasks contradict each other there" if self.law.task.tasks else "the run does not show by what"
-        return Behaviour.HELD_BACK, f"{why}; {said} and stays", NO_REMEDY
+        return Behaviour.HELD_BACK, f"{why}; {said} and stays", self.unstable()
 
     def sizes(self, some):
         """‖e‖ at each instant, of some coordinates; None: of all that count."""

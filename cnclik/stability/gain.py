@@ -174,12 +174,13 @@ def gain_table(*, Ts, dead_time, drive: Drive = Drive(), method: MethodLike = DE
     """Return the gains over sampling times and dead times as an xarray.Dataset over (Ts, dead_time).
 
     Args:
-      Ts: (a,) [s]. dead_time: (b,) [s], in place of the drive's own.
+      Ts: (a,) [s]. dead_time: (b,) [s], that of the measurement included, in place of the drive's own.
       drive, method, M: as for `gains`.
     """
     import xarray as xr
 
     Ts, dead_time = (np.asarray(errors.array(k, v, (None,)), float) for k, v in (("Ts", Ts), ("dead_time", dead_time)))
+    drive = replace(errors.kind("drive", drive, Drive, "be Drive(...)"), measurement_delay=0)
     rows = [[gains(Ts=T, drive=replace(drive, delay=d / T), method=method, M=M) for d in dead_time] for T in Ts]
     names = ("largest_stable", "without_overshoot", "recommended")
     return xr.Dataset(
@@ -197,7 +198,10 @@ def gain_table(*, Ts, dead_time, drive: Drive = Drive(), method: MethodLike = DE
 
 def assumed_drive(Ts: float) -> Drive:
     """Return the drive that is assumed where nothing is known."""
-    return Drive(delay=min(ASSUMED_DELAY / Ts, MOST - SPARE), lag=ASSUMED_LAG)
+    if ASSUMED_DELAY / Ts > MOST:
+        must = f"be given, such as a delay: the 30 ms of dead time that are assumed are more than {MOST} samples"
+        raise errors.fail("drive", must, f"is unknown, with a Ts of {1e3 * Ts:g} ms")
+    return Drive(delay=ASSUMED_DELAY / Ts, lag=ASSUMED_LAG)
 
 
 # --- limits -------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive, sampled
 from cnclik.integrate.lanes import lanes
-from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
+from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import check_loop
 from cnclik.measure.outcome import Ending, outcome
@@ -64,23 +64,24 @@ def stability_map(
 
     method, largest = named(method), float(np.max(np.asarray(law.alpha)))
     check_loop(law, reference)
+    if not reference.still:
+        raise errors.fail("reference", "be constant, as hold(...) is", "moves")
     check_drive(drive, law.chain)
+    errors.kind("stage", stage, Stage, "be a stage such as picard(5)")
     N = errors.integer("N", N, at_least=4, at_most=errors.MOST)
     errors.number("tolerance", tolerance, positive=True)
     errors.kind("progress", progress, (Callable, type(None)), "be a function or None")
     if M is not None and not method.implicit:
         raise errors.fail("method", "be implicit where M is given, such as CN", f"is {method}")
-    given = {"M": M, "Ts": Ts, "alpha": alpha}
-    values = {k: np.asarray(errors.array(k, v, (), (None,)), float) for k, v in given.items() if v is not None}
+    bounds: dict = {"M": {"at_least": 0, "most": 1e6}, "Ts": {"positive": True}, "alpha": {"at_least": 0}}
+    given = {k: v for k, v in {"M": M, "Ts": Ts, "alpha": alpha}.items() if v is not None}
+    values = {k: np.asarray(errors.array(k, v, (), (None,), **bounds[k]), float) for k, v in given.items()}
     q0 = np.asarray(errors.array("q0", q0, (law.chain.n,)), float)
     axes = [name for name, value in values.items() if value.ndim]
-    if not axes or not all(value.size for value in values.values()):
+    if not axes:
         raise errors.fail("alpha, Ts, M", "hold several values, one of them at least", "do not")
-    if not np.all(values["Ts"] > 0):
-        raise errors.fail("Ts", "be positive", f"is {values['Ts'].min():g}")
-    passes = values.get("M", np.zeros(()))
-    if np.any((passes < 0) | (passes > 1_000_000) | (np.round(passes) != passes)):
-        raise errors.fail("M", "be whole, at least 0 and at most a million", f"is {passes.tolist()}")
+    if np.any(values.get("M", 0) % 1):
+        raise errors.fail("M", "be whole", f"is {values['M'].tolist()}")
     if not largest > 0:
         raise errors.fail("law", "have a gain above 0", f"has {largest:g}")
 
@@ -112,7 +113,7 @@ def stability_map(
     loops = jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *endings)
 
     def limit(Ts, M=None):
-        return largest_stable(method, stage if M is None else int(M), drive, Ts=Ts)
+        return largest_stable(method, stage if M is None else replace(stage, M=int(M)), drive, Ts=Ts)
 
     made = xr.Dataset(
         {name: (axes, getattr(loops, name)) for name in RESULTS},
@@ -121,7 +122,6 @@ def stability_map(
             "method": method.name,
             "stage": type(stage).__name__.lower() if M is not None else str(stage),
             "q0": q0,
-            "evaluations_per_step": int(evaluations_per_step(method, stage, law.chain.n)),
             "N": N,
             "tolerance": tolerance,
         },
@@ -135,7 +135,7 @@ def stability_map(
     return made
 
 
-def largest_stable(method, stage, drive=Drive(), *, Ts: float) -> float:
+def largest_stable(method, stage, drive, *, Ts: float) -> float:
     """Return the largest gain that is stable at any posture [1/s]; inf: any. Args: stage: or a number M of passes."""
     share = mixed_share(drive.joints, float(Ts))
     return gain_removing(share, method, passes_of(stage)) / float(Ts) if share else 0.0

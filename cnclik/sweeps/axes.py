@@ -104,7 +104,7 @@ def read(name: str, value, joints: int) -> Axis:
             values = _generated(where, value, joints)
     made = axis(name, values, where)
     numbers = np.asarray(made.values)
-    if name == "M" and (numbers.ndim > 1 or numbers.dtype.kind == "f"):
+    if name in ("M", "seed") and (numbers.ndim > 1 or np.any(numbers % 1)):
         raise errors.fail(where, "hold one whole number each", f"is {value!r}")
     return made
 

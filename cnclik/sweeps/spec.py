@@ -25,7 +25,6 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
-from cnclik.integrate.method import named
 from cnclik.measure.dataset import provenance
 from cnclik.measure.metrics import DEFAULT, Metrics, measure_run
 from cnclik.measure.metrics import check as check_metrics
@@ -34,13 +33,12 @@ from cnclik.problem.build import Problem, drive_from, problem_from
 from cnclik.problem.names import load, stage_from
 from cnclik.problem.reference import OPTIONS as OF_PATHS
 from cnclik.reading import read_toml
-from cnclik.stability.gain import mixed_share
-from cnclik.stability.linear import gain_removing
+from cnclik.stability.maps import largest_stable
 from cnclik.sweeps import axes as forms
 from cnclik.sweeps.axes import COMPILED_IN, NAMES, Axis, compiled_in, known_keys
 from cnclik.sweeps.grid import UNITS, Grid
 
-LIMIT = "limit"
+LIMIT, Z = "limit", "alpha_Ts"  # coordinates of the data: the largest stable z, and z
 KEYS: dict[str, Any] = {"question": "", "expectation": "", "tolerance": 1e-3, "lanes": 0, "metrics": [*DEFAULT]}
 KEYS |= {"fixed": {}, "axes": {}, "units": {}, "figure": []}  # of a spec, with their defaults
 WORDS: dict[Any, str] = {str: "be a text", list: "be a list", dict: "be a table"}
@@ -51,7 +49,7 @@ WHOLE = {name for name, option in OPTIONS.items() if option.kind == options.INTE
 DEFAULTS = options.DEFAULTS | {"delay": 0, "measurement_delay": 0}
 TIMED = {"lag", "natural_frequency", "cutoff"}  # options of a drive with which the largest stable z depends on Ts
 DIGITS = 10  # to which the limit is accurate, and equal on every machine
-MOST_LIMITS = 1000  # each takes some milliseconds
+MOST = {LIMIT: 1000, "alpha": 10_000, "Ts": 10_000}  # values that are looked at: a limit takes some milliseconds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,24 +154,31 @@ class Spec:
         return provenance(float) | asked | texts
 
     def coordinates(self, of: Grid) -> dict:
-        """Return the coordinates of the data: the axes, and the largest stable z = alpha·Ts over those it depends on.
+        """Return the coordinates of the data: the axes, the largest stable z, and z = alpha·Ts, of several gains the
+        largest; these two over the axes that they depend on, and not for too many values.
 
-        It holds at any posture, exactly where J# is exact; with damping a little more may be stable. inf: any z. There
-        is none where the spec's own axis z is not alpha·Ts, or for more than a thousand combinations.
+        The limit holds at any posture, exactly where J# is exact; with damping a little more may be stable. inf: any z.
         """
-        coords, needs, first = of.coordinates(self.all_units()), self.needs(LIMIT), of.programs[0]
-        axes = [a for a in of.axes if a.name in needs or needs & set().union(*self.tables.get(a.name, {}).values())]
-        if math.prod(map(len, axes)) > MOST_LIMITS:
-            return coords
         with jax.enable_x64(True):
-            for loop in (self.loop(first, end) for end in (np.argmin, np.argmax) if "z" in coords):
-                if not np.isclose(np.max(loop["alpha"]) * loop["Ts"], loop["z"], rtol=1e-6):
-                    return coords
-            points = itertools.product(*(a.values for a in axes))
-            loops = (self.loop(first | dict(zip([a.name for a in axes], point, strict=True))) for point in points)
-            limits = [float(f"{loop[LIMIT]:.{DIGITS}g}") for loop in loops]
-        about = {"units": "1", "long_name": "largest stable z of linear theory"}
-        return coords | {LIMIT: (tuple(a.name for a in axes), np.reshape(limits, [len(a) for a in axes]), about)}
+            limit, alpha, Ts = (self._over(of, name, most) for name, most in MOST.items())
+        z = None if alpha is None or Ts is None else alpha * Ts
+        each = {LIMIT: (limit, "largest stable z of linear theory"), Z: (z, "z = α·Ts")}
+        coords = of.coordinates(self.all_units())
+        about = {name: {"units": "1", "long_name": words} for name, (_, words) in each.items()}
+        return coords | {name: (v.dims, v.values, about[name]) for name, (v, _) in each.items() if v is not None}
+
+    def _over(self, of: Grid, name, most):
+        """Return the largest entry of a value over the axes that it depends on; None for more than `most` of them."""
+        import xarray
+
+        needs, first = self.needs(name), of.programs[0]
+        axes = [a for a in of.axes if a.name in needs or needs & set().union(*self.tables.get(a.name, {}).values())]
+        if math.prod(map(len, axes)) > most:
+            return None
+        points = itertools.product(*(a.values for a in axes))
+        loops = (self.loop(first | dict(zip([a.name for a in axes], point, strict=True))) for point in points)
+        values = [float(f"{np.max(loop[name]):.{DIGITS}g}") for loop in loops]
+        return xarray.DataArray(np.reshape(values, [len(a) for a in axes]), dims=[a.name for a in axes])
 
     def file(self, text) -> pathlib.Path | None:
         """Return the file of a name, relative to the spec's folder, or None."""
@@ -244,8 +249,8 @@ class Loop(dict):
 
 @functools.cache
 def _largest_z(method, stage, drive, Ts, M) -> float:
-    passes = M if named(method).implicit and stage == "picard" else None
-    return gain_removing(mixed_share((drive_from(dict(drive)) or Drive()).joints, Ts), method, passes)
+    passes = M if stage == "picard" else None
+    return Ts * largest_stable(method, passes, drive_from(dict(drive)) or Drive(), Ts=Ts)
 
 
 # --- reading ------------------------------------------------------------------------------------------
@@ -338,7 +343,7 @@ def _check_names(spec: Spec):
     for name in (*spec.written, *spec.tables, *(name for table in spec.places().values() for name in table)):
         if name in KEYS:
             raise errors.fail(name, "stand above all tables", "is in one")  # TOML counts lines below its header to it
-        if name == LIMIT or (name in spec.tables and name in OPTIONS):
+        if name in (LIMIT, Z) or (name in spec.tables and name in OPTIONS):
             raise errors.fail(f"axes.{name}", "have another name", "has one that means something else")
     giver: dict = {}  # {name: the axis of tables that gives it}
     for where, table in spec.places().items():

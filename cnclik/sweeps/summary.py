@@ -7,9 +7,6 @@ import operator
 
 import numpy as np
 
-from cnclik.problem.options import DEFAULTS
-from cnclik.sweeps.axes import evaluate, is_quantity
-
 FILES = ("summary.csv", "config.json")
 _WRONG = ("diverged", "growing", "over_velocity")  # counts of steps that are 0 for a safe loop
 _APART = ("case", "robot")  # axes along which errors are not compared
@@ -39,8 +36,8 @@ def best(data) -> list:
     value = data[name].fillna(np.inf)
     checks = [np.isfinite(value), *(data[wrong] == 0 for wrong in _WRONG if wrong in data)]
     checks += [data.stable != 0] if "stable" in data else []  # NaN: of a moving target
-    if (z := _z(data)) is not None and "limit" in data.coords:
-        checks.append(~(z >= data.limit))
+    share = share_of_limit(data)
+    checks += [~(share >= 1)] if share is not None else []
     drawn = [d for d in value.dims if d == "seed" or (f"{d}_value" in data.coords and d not in _CHOSEN)]
     safe = functools.reduce(operator.and_, checks).all(drawn)
     value = value.max(drawn, keep_attrs=True).where(safe)
@@ -52,21 +49,13 @@ def best(data) -> list:
         line += f" of {errors.size:,} loops {'are' if count > 1 else 'is'} safe"
         line += f", the best by {_named(data, errors)}" if count else ""
         lines.append(f"{line[0].upper()}{line[1:]}.")
-    return lines
+    return lines + ["No loop was compared with the linear limit."] * (share is None)
 
 
-def _z(data):
-    """Return alpha·Ts of each loop; None where it isn't known."""
-    if "z" in data.dims:
-        return data["z"]
-    spec = {"fixed": {}, "axes": {}} | json.loads(data.attrs.get("spec", "{}"))
-    tables = [table for axis in spec["axes"].values() if isinstance(axis, dict) for table in axis.values()]
-    varied = [name for table in tables if isinstance(table, dict) for name in table]  # by an axis of tables
-    fixed = DEFAULTS | spec["fixed"] | dict.fromkeys(varied)
-    alpha, Ts = (data[n] if n in data.dims else fixed[n] for n in ("alpha", "Ts"))
-    alpha, Ts = (evaluate(n, v) if is_quantity(v) else v for n, v in (("alpha", alpha), ("Ts", Ts)))
-    known = all(isinstance(v, int | float) or getattr(v, "dtype", np.dtype("O")).kind == "f" for v in (alpha, Ts))
-    return alpha * Ts if known else None
+def share_of_limit(data):
+    """Return z = alpha·Ts over the largest stable one; None where one of both is not known."""
+    z, limit = (data.coords.get(name) for name in ("alpha_Ts", "limit"))
+    return None if z is None or limit is None else z / limit
 
 
 def _named(data, errors) -> str:
@@ -76,10 +65,15 @@ def _named(data, errors) -> str:
     for dim, numbers in zip(errors.dims, places.T, strict=True):
         words = [text(v) for v in data.get(f"{dim}_value", data[dim]).values[np.unique(numbers)]]
         words = f"{words[0]} to {words[-1]}" if len(words) > 4 else " or ".join(words)
-        axes.append(f"{dim} {words} {data[dim].attrs.get('units', '')}".removesuffix(" 1").strip())
+        axes.append(f"{dim} {words} {unit_of(data[dim])}".strip())
     size = f"{least:.3g} {errors.attrs.get('units', '')}".strip()
     ties = f"; {len(places):,} loops tie" * (len(places) > 1)
     return f"{errors.name} ({size}{ties}){': ' * bool(axes)}{', '.join(axes)}"
+
+
+def unit_of(variable) -> str:
+    """Return a variable's unit; "" of a number without one."""
+    return "" if (unit := variable.attrs.get("units", "")) == "1" else unit
 
 
 def text(value) -> str:

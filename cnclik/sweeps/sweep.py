@@ -69,8 +69,8 @@ def run_spec(spec, out=None, *, set=(), progress=None) -> "xr.Dataset":
       set: strings "name=value" that replace values of the file, as `--set` of `cnclik sweep`.
       progress: called with (points done, points to do).
 
-    Returns: `xarray.Dataset` with the axes as dimensions and the coordinate `limit`, the largest stable z = alpha·Ts of
-      linear theory; from a store, loaded on use.
+    Returns: `xarray.Dataset` with the axes as dimensions and the coordinates `limit`, the largest stable z = alpha·Ts
+      of linear theory, and `alpha_Ts`, z of the largest gain; from a store, loaded on use.
     Raises: ArgumentError for what cannot be run, or a folder that holds something else.
     """
     errors.kind("progress", progress, (Callable, type(None)), "be a function or None")

@@ -95,9 +95,9 @@ class Task:
     def require_each(self, argument: str, must: str, names) -> None:
         """Raise ArgumentError unless these are the names of a stack's tasks, each once."""
         tasks = [name for name, _ in self.tasks]
-        if sorted(names) != sorted(tasks):
+        if not tasks or sorted(names) != sorted(tasks):
             have = ", ".join(tasks) or "none: they are given names by ck.stack(name=task, ...)"
-            raise errors.fail(argument, f"{must}; they are {have}", f"has {', '.join(names)}")
+            raise errors.fail(argument, f"{must}; they are {have}", f"has {', '.join(names) or 'none'}")
 
     @property
     def weight_of_parts(self) -> tuple:

@@ -222,6 +222,11 @@ def objective_of(law, parameters, references, q0, Ts, how, loss, drive, noise=No
     for name, some in every.items():
         if len(some) not in (1, count):
             raise errors.fail(name, f"be one, or one for each of {count} runs", f"holds {len(some)}")
+    try:
+        scenarios = stack(tuple(some[i % len(some)] for some in every.values()) for i in range(count))
+        jax.tree.map(jnp.asarray, scenarios)  # functions are none
+    except (AttributeError, TypeError, ValueError):
+        raise errors.fail("reference", "be paths of one kind, such as lines", "is of several") from None
     limit = law.chain.velocity_limit if limit is None else limit
     limits = np.asarray(errors.array("velocity_limit", limit, (), (n,), finite=False), float)
     if not np.all(limits > 0):
@@ -229,7 +234,7 @@ def objective_of(law, parameters, references, q0, Ts, how, loss, drive, noise=No
     return Objective(
         law=law,
         parameters=parameters,
-        scenarios=stack(tuple(some[i % len(some)] for some in every.values()) for i in range(count)),
+        scenarios=scenarios,
         Ts=np.asarray(float(Ts)),
         how=how,
         drive=check_drive(drive, law.chain),

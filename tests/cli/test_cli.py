@@ -174,7 +174,7 @@ NUMBERS = [  # verb, arguments, option, values
 def test_a_number_may_have_a_unit(verb, argv, name, wanted):
     place = "log.csv" if verb is diagnose else "panda"
     made = arguments.parse(verb, [place, *(argv.split() if isinstance(argv, str) else argv)], prog="", description="")
-    shared = {key: value for key, value in made.items() if isinstance(value, quantities.Quantities) and key in OPTIONS}
+    shared = {key: value for key, value in made.items() if isinstance(value, (str, list)) and key in OPTIONS}
     assert (made | in_own_units(shared))[name] == pytest.approx(wanted, rel=1e-12)
 
 

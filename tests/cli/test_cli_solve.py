@@ -60,7 +60,7 @@ def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, 
     way.write_text("time,x,y\n0,0.8,0.9\n2,0.5,1.1\n")
     run = [*ARM[:4], "--reference", way, "--N", "3", "--no-figures", "--out", tmp_path / "out", "--q0", "0.3", "0.9"]
     for begin, jump in ((), True), (("--begin", "on-path"), False):
-        assert "Path spline, from [0.8, 0.9] m" in shown(capsys, *run, *begin)
+        assert "Path from [0.8, 0.9] m" in shown(capsys, *run, *begin)
         with xr.open_dataset(tmp_path / "out" / "trajectory.nc") as data:
             assert (np.abs(data.e.values[0]).max() > 1e-3) == jump
 
@@ -68,6 +68,7 @@ def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, 
 def test_what_a_loop_did_and_what_to_change(tmp_path, capsys):
     """The exit code is that of a command that did its work; what --json prints mends the loop."""
     assert "the gain is 0" in shown(capsys, *ARM, "--alpha", "0", "--no-figures", "--out", tmp_path)
+    assert "(q1), no limits" in shown(capsys, *ARM, "--alpha", "1e308", "--no-figures", "--out", tmp_path)  # not finite
     loop = ["solve", "planar:1,1", "--task", "xy", "--target", "0.5", "1.2", "--Ts", "0.1", "--method", "EE", "--N", 40]
     loop += ["--no-figures", "--json", "--out", tmp_path]
     swings = json.loads(shown(capsys, *loop, "--alpha", "26"))["verdict"]

@@ -130,6 +130,13 @@ def test_map_of_loops_through_drives_agrees_with_the_limit(tmp_path, capsys, mon
     assert (data.ending.where(beyond > 1.1, 3) == 3).all() and (data.ending.where(beyond < 0.9, 0) < 2).all()
     assert (beyond > 1.1).any() and (beyond < 0.9).any() and "100 loops" in capsys.readouterr().out
     assert '"robot": "planar:1,1"' in data.attrs["config"]
+    servo = ["--natural-frequency", "20", "--damping-ratio", "0.1", "--delay", "20"]  # no gain is stable
+    rebased = ["--command", "position", "--feedback", "rebased", *servo]
+    main(["stability", "--N", "4", "--draw", "map", *rebased, "--out", str(tmp_path)])
+    assert (opened(tmp_path, "map.nc").limit == 0).any()
+    with pytest.raises(SystemExit):
+        main(["stability", "--draw", "map", "--alpha", "0", "--out", str(tmp_path)])
+    assert "Option `--alpha` must be positive, but is 0." in capsys.readouterr().err
 
 
 def test_plane_has_the_limits_of_every_M(tmp_path, capsys, monkeypatch):

@@ -159,7 +159,7 @@ def test_what_is_said_is_right_in_the_simulated_loop(count=36):
 
 test_what_cannot_be_diagnosed = refusals(
     (lambda: diagnose(np.zeros(5), TS), "`signal` must have at least 16 rows, but has 5.$"),
-    (lambda: diagnose(np.zeros((50, 0)), TS), "`signal` must have at least 16 rows, but has 0.$"),
+    (lambda: diagnose(np.zeros((50, 0)), TS), "`signal` must hold numbers, but is empty"),
     (lambda: diagnose(np.full(50, np.nan), TS), r"`signal` must be finite, but is nan at index \(0,\).$"),
     (lambda: diagnose(-np.geomspace(1, 1e200, 50), TS), r"`signal` must be within ±1e\+30, but reaches 1e\+200.$"),
     (lambda: diagnose(np.zeros(50), -1.0), "`Ts` must be positive, but is -1.$"),

@@ -93,7 +93,7 @@ test_what_is_no_drive_is_refused = refusals(
     (lambda: Drive(lag=0.1, natural_frequency=3.0), "`natural_frequency` must be left out where there is a lag"),
     (lambda: Drive(lag=1e-100), "`lag` must be at least 1e-12, but is 1e-100"),
     (lambda: Drive(lag=None), "`lag` must be an array of real numbers, but is None"),
-    (lambda: Drive(natural_frequency=[]), "`natural_frequency` must be a number, or one per joint, but is empty"),
+    (lambda: Drive(natural_frequency=[]), "`natural_frequency` must hold numbers, but is empty"),
     (lambda: Drive(natural_frequency=0.0), "`natural_frequency` must be positive"),
     (lambda: Drive(damping_ratio=0.7), "`damping_ratio` must come with a natural_frequency"),
     (lambda: Drive(feedback="rebased"), "`feedback` must come with command position and a lag"),

@@ -100,8 +100,17 @@ def test_waypoint_files(tmp_path):
     np.testing.assert_allclose(reference_from(str(file), arm, task, q0).curve(0.0)[0], start, atol=1e-12)
 
 
+def test_a_path_begins_at_the_tip_that_is_named():
+    fork = ck.join(ck.planar_arm([1.0, 0.8]), ck.planar_arm([0.5]), prefix="b_", keep=True)
+    for tip in ("tip", "b_tip"):
+        made = p.problem_from(fork, tip=tip, task="xy", reference="circle", q0=[0.3, 0.8, 0.5])
+        at = ck.forward(fork, made.q0, tip=tip).position[:2]
+        np.testing.assert_allclose(made.reference.curve(0.0)[0], at, atol=1e-6)
+
+
 def test_a_joint_may_stop_at_its_limit_in_one_step():
-    assert float(p.problem_from("panda", damping=0.1, limits="bounded", Ts=0.5).law.limits.rate) == 2.0
+    made = p.problem_from("panda", damping=0.1, limits="bounded", Ts=0.5)
+    assert float(made.law.limits.rate) == 2.0 and made.robot is None  # nor are meshes in a folder called panda
 
 
 def test_waypoints_with_a_speed_in_place_of_times(tmp_path):
@@ -169,12 +178,14 @@ test_what_does_not_fit_is_named = refusals(
     ({"reference": "circle", "radius": 0}, "positive"),
     ({"reference": "circle", "task": "orientation"}, "`reference` .* without position"),
     ({"reference": "lissajous", "task": "rz"}, "`reference` .* without position"),
+    ({"reference": "circle", "task": "xrz"}, "`reference` must be hold, .* of one coordinate of a position, but is"),
     ({"reference": "line", "period": 0}, "`period`"),
     ({"alpha": [1, 2]}, "alpha"),
     ({"N": 0}, "N"),
     ({"method": "BDF"}, "method"),
     ({"stage": "picrad"}, "did you mean 'picard'"),
     ({"M": -1}, "M"),
+    ({"seed": 1.5}, "`seed` must be an integer, but is 1.5"),
     ({"damping": 0}, "damping"),
     ({"threshold": 0.1}, "`threshold` must come with `damping`"),
     ({"damping_ratio": 0.7}, "`damping_ratio` must come with a natural_frequency"),
@@ -258,7 +269,9 @@ def test_what_the_file_says_holds_unless_an_option_is_given(file):
     assert (made.Ts, made.N, str(made.method), made.drive) == (0.004, 7, "EE", ck.Drive(delay=2.0, lag=0.05))
     np.testing.assert_array_equal(made.q0, ck.problem.start_from(ck.panda(), ck.pose()))
     made = problem_of(file(ONE), N=3, method="CN", M=2, delay=0.0)
-    assert (made.N, str(made.method), made.stage.M, made.drive) == (3, "CN", 2, ck.Drive(lag=0.05))
+    assert (made.N, str(made.method), made.stage, made.drive) == (3, "CN", ck.picard(2), ck.Drive(lag=0.05))
+    made = problem_of(file(ONE.replace("N=7", "stage=ck.chord(3)")), M=2, delay="34ms")
+    assert made.stage == ck.chord(2) and made.drive.delay == 8.5  # of the file's iteration and sampling time
     same = problem_of(
         file("import cnclik as ck\ndef problem(): return ck.problem.problem_from('ur5', Ts=0.002, damping=0.1)")
     )
@@ -281,6 +294,7 @@ def test_what_the_file_says_holds_unless_an_option_is_given(file):
         (ONE.replace("N=7", "noise=[0.1, 0.2]"), {}, "`noise` must be a single number or have 6 numbers, but has 2"),
         (ONE.replace("N=7", "noise=[0, 0, 0, 0, 0, -0.1]"), {}, "`noise` must be at least 0, but is"),
         (TWO, {"Ts": -1.0}, "`Ts` must be positive"),
+        (TWO.replace("alpha=5.0", "alpha=5.0, delay=2"), {"delay": "34ms"}, "a time, and no sampling time is given"),
         (TWO, {"lag": [0.1, 0.2]}, "`lag` must have 3 numbers, but has 2"),
     ],
 )

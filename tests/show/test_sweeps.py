@@ -31,6 +31,7 @@ def data(limit=True, **axes):
         coords["limit"] = ("method", LIMITS, {"units": "1"})
     grid = xarray.Dataset(coords=coords)
     z = grid["z"] if "z" in axes else grid.get("alpha", 1.0) * grid.get("Ts", 1.0)
+    grid = grid.assign_coords(alpha_Ts=z)
     error = (xarray.DataArray(rng.random(shape) * 1e-3 + 1e-6, dims=dims) + np.abs(1 - z) ** 5).transpose(*dims)
     error.values[..., -1] = np.inf
     evaluations = np.broadcast_to(np.arange(1, shape[-1] + 1.0) * 10, shape)

@@ -159,13 +159,17 @@ def test_noise_is_no_swing():
 def test_a_gain_above_the_largest_stable_one_is_said_of_a_calm_run():
     law = planar(19.9)
     run = ck.solve(law, ck.hold(TIP), Q5, 0.1, 60, "EE")
-    said = verdict(law, ck.hold(TIP), run, method="EE", drive=Drive(delay=1))
-    assert "above the largest stable gain" in str(said) and said.change["alpha"] < 10
+    wrong = ck.replace(run, e=np.full_like(run.e, 0.1))  # its error stays, and nothing shows why
+    for each, kind in ((run, "settled"), (wrong, "held back")):
+        said = verdict(law, ck.hold(TIP), each, method="EE", drive=Drive(delay=1))
+        assert "above the largest stable gain" in str(said) and said.change["alpha"] < 10 and said.kind == kind
 
 
 def test_runs_of_others_are_refused():
     law, run = planar(5.0), ck.solve(planar(5.0), NEAR, Q5, 0.1, 20)
     with pytest.raises(ArgumentError, match="`run` must be a Trajectory of this law"):
         verdict(ck.Law(PANDA, ck.position(), alpha=5.0), ck.hold(P0), run)
+    with pytest.raises(ArgumentError, match="`noise` must be at least 0, but is -1"):
+        verdict(law, NEAR, run, noise=[1e-3, -1.0])
     with pytest.raises(ArgumentError, match="at least one step"):
         verdict(law, NEAR, ck.solve(law, NEAR, Q5, 0.1, 0))

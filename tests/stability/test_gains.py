@@ -252,7 +252,8 @@ def test_a_filter_lowers_gains_but_not_of_the_target():
 
 
 def test_a_table_holds_the_gains_of_its_cells():
-    data = gain_table(Ts=[0.002, 0.01], dead_time=[0.0, 0.01, 0.02], drive=Drive(lag=0.05))
+    drive = Drive(lag=0.05, measurement_delay=3)  # whose dead time gives way to that of the table
+    data = gain_table(Ts=[0.002, 0.01], dead_time=[0.0, 0.01, 0.02], drive=drive)
     assert data.recommended.dims == ("Ts", "dead_time") and data.recommended.attrs["units"] == "1/s"
     cell = ck.gains(Ts=0.01, drive=Drive(delay=2, lag=0.05))
     assert float(data.recommended.sel(Ts=0.01, dead_time=0.02)) == cell.recommended
@@ -292,6 +293,9 @@ test_bad_input_is_named = refusals(
     (lambda: ck.gains(Ts=0.01, method="EEE"), "`method` must be one of"),
     (lambda: ck.gains(Ts=0.01, method="IE", M=-1), "`M` must be at least 0"),
     (lambda: ck.gains(Ts=0.01).at(0.0), "`alpha` must be positive"),
+    (lambda: gain_table(Ts=[0.01], dead_time=[0.0], drive=None), "`drive` must be Drive"),
+    (lambda: gain_table(Ts=[], dead_time=[0.0]), "`Ts` must hold numbers, but is empty"),
+    (lambda: ck.gains(Ts=1e-4), "`drive` must be given, such as a delay: .* but is unknown, with a Ts of 0.1 ms"),
     (lambda: Drive(smoothing=-0.1), "`smoothing` must be at least 0"),
     (lambda: Drive(cutoff=0.0), "`cutoff` must be positive"),
 )

@@ -129,6 +129,8 @@ def test_passes_are_an_axis():
     np.testing.assert_allclose(data.limit * 0.1, [stability_limit("CN", M) for M in (0, 1, 2, 5)])
     clear = np.abs(z / (0.1 * data.limit.values[:, None]) - 1) > 0.05
     assert ((data.ending.values <= 1) == (z < 0.1 * data.limit.values[:, None]))[clear].all()
+    solved = stability_map(LAW, TARGET, QP, alpha=[5.0, 9.0], Ts=0.1, M=[1, 5], method="IE", stage=ck.chord(1), N=200)
+    assert (solved.limit == np.inf).all() and (solved.ending <= 1).all()  # of the stage's own iteration
 
 
 def test_a_plane_has_regions_and_limits():
@@ -148,5 +150,9 @@ test_bad_maps_are_named = refusals(
     (dict(alpha=1.0), "hold several values"),
     (dict(N=2), "`N` must be at least 4"),
     (dict(alpha=[np.nan]), "`alpha` must be finite"),
-    of=lambda **change: stability_map(LAW, TARGET, QP, **(dict(alpha=[1.0, 2.0], Ts=0.1) | change)),
+    (dict(reference=ck.circle([0.4, 0, 0.5], 0.1, period=1.0)), "`reference` must be constant, .* but moves"),
+    (dict(stage="picard"), "`stage` must be a stage such as picard"),
+    (dict(alpha=[-5.0, 5.0]), "`alpha` must be at least 0"),
+    (dict(alpha=[]), "`alpha` must hold numbers, but is empty"),
+    of=lambda **change: stability_map(**(dict(law=LAW, reference=TARGET, q0=QP, alpha=[1.0, 2.0], Ts=0.1) | change)),
 )

@@ -188,6 +188,7 @@ test_everything_wrong_is_said_in_one_line = refusals(
     ({"fixed__alpha": "z*(method*1000000000)"}, "method is a name, not a number"),
     ({"fixed__Ts": "alpha*1"}, "not depend on itself, but does, through"),
     ({"fixed__alpha": "z*limit/Ts", "fixed__M": "round(alpha)", "axes__M": None}, "not depend on itself"),
+    ({"axes__seed": [0, 0.5]}, "`axes.seed` must hold one whole number each, but is [0, 0.5]"),
     ({"fixed__Ts": True}, "`fixed.Ts` must be a number"),
     ({"fixed__N": 2.5}, "`N` must be an integer"),
     ({"fixed__robot": None}, "`robot` must be given in [fixed] or [axes]"),
@@ -304,15 +305,15 @@ def spec(metrics, N, fixed=(), **axes):
     return parse(made | {"axes": axes})
 
 
-def limit(fixed=(), drop=(), **axes):
-    """The coordinate of a variation of the spec: (dimensions, values), or None."""
+def limit(fixed=(), drop=(), name="limit", **axes):
+    """A coordinate of a variation of the spec: (dimensions, values), or None."""
     written = copy.deepcopy(SPEC)
     written["fixed"] |= dict(fixed)
     written["axes"] |= axes
-    for name in drop:
-        written["axes"].pop(name)
+    for dropped in drop:
+        written["axes"].pop(dropped)
     found = parse(written)
-    found = found.coordinates(found.grid()).get("limit")
+    found = found.coordinates(found.grid()).get(name)
     return found and found[:2]
 
 
@@ -328,12 +329,16 @@ def test_the_limit_is_over_the_axes_on_which_it_depends():
     assert limit({"method": "EE"}, ["method"]) == ((), 2.0)
     assert limit({"N": "round(1/Ts)"})[0] == ("method",)  # Ts is compiled in, and the limit doesn't depend on it
     assert limit({"alpha": "z/Ts"}, ["alpha"], z=[0.5, 1.5])[0] == ("method",)
-    assert limit({"alpha": "2*z/Ts"}, ["alpha"], z=[0.5, 1.5]) is None  # an axis z that is not alpha·Ts
     laws = {"exact": {}, "damped": {"damping": 0.1}}
     assert limit(method=["EE"], law=laws) == (("method",), [2.0])  # with damping a little more may be stable
     dims, values = limit(lag=[0.05, 0.3], method=["EE"])  # with a lag z depends on Ts
     assert dims == ("method", "Ts", "lag") and len(values.ravel()) == 4
     np.testing.assert_allclose(values[0, 1, 1], stable(Drive(lag=0.3)), rtol=1e-9)
+    assert limit(method=["EE"], lag=np.linspace(0.1, 0.2, 501).tolist()) is None  # too many
+    quick, slow = {"alpha": "z/Ts", "Ts": "1ms"}, {"alpha": ["2*z/Ts", "z"], "Ts": 0.1}  # z is no alpha·Ts
+    dims, values = limit({}, ["alpha", "Ts"], "alpha_Ts", z=[0.5, 1.5], law={"quick": quick, "slow": slow})
+    assert dims == ("law", "z")
+    np.testing.assert_allclose(values, [[0.5, 1.5], [1.0, 3.0]], rtol=1e-9)
 
 
 def test_noise_at_rest_is_as_large_as_theory_says():

@@ -129,6 +129,7 @@ test_what_is_refused = refusals(
     (lambda: ck.stack(a=ck.stack(b=LEFT)), "`a` must be a task without names of its own, but is a stack"),
     (lambda: ck.stack(a=LEFT) & RIGHT, "`task` must be joined before it has names"),
     (lambda: ck.Law(HUMANOID, ck.joints(["head"]), alpha=1.0), "`joints` must be one of "),
+    (lambda: ck.Law(ck.panda(), ck.pose(), alpha={}), "`alpha` must have a gain for each task; they are none"),
     (lambda: law(alpha={"feet": 1.0}), "`alpha` must have a gain for each task; they are feet, hands, torso"),
     (lambda: law(inverse=ck.levels(["feet"], damping=(0.1,))), "`inverse` must have each task of the law in one"),
     (lambda: ck.levels("feet", damping=(0.1,)), "`names` must be a list of names for each level"),

@@ -188,6 +188,8 @@ test_what_does_not_fit_is_refused = refusals(
     ({"velocity_limit": -1.0}, "velocity_limit"),
     ({"noise": np.ones((30, 3))}, r"`noise` must have shape \(30, 2\) or \(n, 30, 2\)"),
     ({"reference": [LINE] * 2, "q0": np.ones((3, 2))}, "`reference` must be one, or one for each of 3 runs"),
+    ({"reference": [LINE, ck.hold([1.0, 1.0])]}, "`reference` must be paths of one kind"),
+    ({"reference": [ck.path(lambda t, k=k: (1 - k * t, 1.0)) for k in (0, 1)]}, "be paths of one kind"),
     ({"progress": 5}, "`progress` must be a function or None"),
     ({"N": 2}, "`N` must be at least 3"),
     (
