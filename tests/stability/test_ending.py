@@ -42,7 +42,7 @@ def planar(alpha, **options):
 def test_a_held_target(alpha, delay, N, kind):
     """Through dead time a swing of ten steps a period dies out: joints that turn once in a while do not shake."""
     said = judge(planar(alpha), NEAR, Q5, 0.1, N, drive=Drive(delay=delay))
-    assert said.kind == kind, said
+    assert said.kind == kind and (alpha != 1 or "59 % of that in the quarter before" in said.sentence), said  # 0.9⁵
     if kind in ("swinging", "growing"):
         again = judge(planar(said.change["alpha"]), NEAR, Q5, 0.1, 100)
         assert again.kind == "settled", again
@@ -155,6 +155,10 @@ def test_noise_is_no_swing():
     fast = ck.replace(law, chain=ck.replace(FIVE, velocity_limit=(2.0,) * 5))  # lost, and near no singularity
     lost = verdict(fast, NEAR, ck.replace(run, e=np.nan * noisy.e))
     assert lost.kind == Behaviour.GROWING and "not finite" in str(lost) and not lost.remedy
+    law = ck.Law(ck.replace(FIVE, velocity_limit=(2.0, 2.0, 1.0, 2.0, 2.0)), XY, alpha=[5.0, 2.0])
+    run = ck.solve(law, ck.hold([0.2, 4.0]), np.zeros(5), 0.02, N)  # stretched: v = (1, -2), for at most 1 rad/s
+    lost = verdict(law, NEAR, ck.replace(run, e=np.where(np.arange(N + 1)[:, None] < 9, run.e, np.nan)))
+    assert lost.change == {"damping": float(f"{np.hypot(1, 2) / 2:.1g}")}, lost
 
 
 def test_a_gain_above_the_largest_stable_one_is_said_of_a_calm_run():
