@@ -97,13 +97,14 @@ def test_an_arm_at_the_end_of_its_reach():
     """Out of reach by the distance that `reach` finds; it swings with little damping, and the remedy calms it."""
     far, limits = ck.hold(1.6 * P3), ck.bounded()
 
-    def law(damping, alpha=60.0):
+    def law(damping, alpha=(20.0, 60.0)):
         return ck.Law(THREE, XY, alpha=alpha, inverse=ck.damped(damping), limits=limits)
 
     said = judge(law(0.2), far, Q3, 1 / 60, 600, "EXP-MIDPOINT")
     nearest = ck.reach(THREE, 1.6 * P3, task=XY)
     assert said.kind == Behaviour.HELD_BACK and "out of reach" in str(said) and "swings" in str(said), said
     assert f"{1e3 * float(nearest.position_error):.3g} mm away" in str(said)
+    assert said.change["damping"] == pytest.approx((60 / 60 * said.error * 2.4 / 2) ** 0.5, abs=0.01)  # alpha Ts ‖e‖ c/2
     for calm in (law(said.change["damping"]), law(0.2, 10.0)):
         said = judge(calm, far, Q3, 1 / 60, 600, "EXP-MIDPOINT")
         assert said.kind == Behaviour.HELD_BACK and "swings" not in str(said), said
