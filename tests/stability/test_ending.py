@@ -40,8 +40,7 @@ def planar(alpha, **options):
      (30.0, 0, 60, "growing"), (0.0, 0, 60, "held back"), (6.0, 2, 40, "too short to tell"),
      (0.1, 0, 60, "too short to tell")],
 )  # fmt: skip
-def test_a_held_target(alpha, delay, N, kind):
-    """Through dead time a swing of ten steps a period dies out: joints that turn once in a while do not shake."""
+def test_a_held_target(alpha, delay, N, kind):  # one swings in ten steps a period: that is no shaking
     said = judge(planar(alpha), NEAR, Q5, 0.1, N, drive=Drive(delay=delay))
     assert said.kind == kind and (alpha != 1 or "59 % of that in the quarter before" in said.sentence), said  # 0.9⁵
     if kind in ("swinging", "growing"):
