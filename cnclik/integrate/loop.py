@@ -247,7 +247,7 @@ def advance(law: Law, reference, q, t, Ts, method, stage, offset=None) -> Step:
     if law.limits is not None:
         y, qdot = within(law, centre(law.chain, q), qdot, Ts)
     after = out(law.chain, q, y)
-    status = flags(law, after, qdot, at.e, made.residual, stage.tolerance, made.first)
+    status = flags(law, after, qdot, made.residual, stage.tolerance, made.first)
     return Step(
         q=after,
         x=at.x(),

@@ -58,16 +58,16 @@ def _searched(asked, starts, pose, near, finite, far):
         (p, k), found, kept, why = carry
         stage = Stage(*jax.tree.map(lambda v: v[p], table))
         aside = stage.status > 0
-        found = jax.tree.map(lambda new, old: jnp.where(aside & (k == 0), new, old), none, found)
         want = wanted(asked, stage, row_of(kept, n), far, why, jnp)
         stage = stage._replace(last=jnp.where(want, stage.last, 0))  # nothing is tried then
         found = advanced(stage, found, k + jnp.arange(ROUND, dtype=jnp.int32), inside, tried, xp=jnp)
         over = (row_of(found.rows, n).status == ReachStatus.SOLVED) | (k + ROUND >= stage.last)
         meaning = asked.meaning(stage.status, found.rows, found.costs.min(), jnp)
         why = jnp.where(aside & over & want, meaning, why).astype(np.int32)
-        following = table.first[jnp.minimum(p + 1, len(every) - 1)]
-        where = p + over, jnp.where(over, following, k + ROUND)
-        return where, found, jnp.where(aside, kept, found.rows), why
+        kept, following = jnp.where(aside, kept, found.rows), jnp.minimum(p + 1, len(every) - 1)
+        afresh = over & (table.status[following] > 0)
+        found = jax.tree.map(lambda new, old: jnp.where(afresh, new, old), none, found)
+        return (p + over, jnp.where(over, table.first[following], k + ROUND)), found, kept, why
 
     def goes_on(carry):
         (p, _), _, kept, why = carry

@@ -124,7 +124,7 @@ class _Case:
         self.alpha = np.broadcast_to(np.asarray(law.alpha, float), (task.m,))
         self.most = np.array(law.chain.velocity_limit, float)
         self.size = np.linalg.norm(self.e[:, self.counted], axis=1)
-        self.error = self.size[self.last].max() if self.finite.all() else np.inf
+        self.error = self.peak(self.last) if self.finite.all() else np.inf
 
     def verdict(self) -> Verdict:
         kind, words, (change, remedy) = self.judged()
@@ -157,38 +157,37 @@ class _Case:
         if self.arrived():
             return Behaviour.SETTLED, said, self.unstable()
         if self.shrinks():
-            left = self.error / self.size[self.before].max()
+            left = self.error / self.peak(self.before)
             return Behaviour.TOO_SHORT, f"{said}, {100 * left:.2g} % of that in the quarter before", NO_REMEDY
         why = "its tasks contradict each other there" if self.law.task.tasks else "the run does not show by what"
         return Behaviour.HELD_BACK, f"{why}; {said} and stays", self.unstable()
 
-    def sizes(self, some):
-        """‖e‖ at each instant, of some coordinates; None: of all that count."""
-        return self.size if some is None else np.linalg.norm(self.e[:, some], axis=1)
+    def peak(self, instants, some=None):
+        """The largest ‖e‖ at some instants, of some coordinates; by default of all that count."""
+        return np.linalg.norm(self.e[instants][:, self.counted if some is None else some], axis=1).max()
 
     def arrived(self, some=None) -> bool:
         """Whether the last quarter's errors are a small part of the first one, rounding or noise."""
-        size = self.sizes(some)
-        return size[self.last].max() <= max(ARRIVED * size[0] * self.still, self.floor, NOISE * self.sigma)
+        small = ARRIVED * self.still * self.peak([0], some)
+        return self.peak(self.last, some) <= max(small, self.floor, NOISE * self.sigma)
 
     def shrinks(self, some=None) -> bool:
         """Whether the errors still become smaller."""
-        size = self.sizes(some)
-        return size[self.last].max() < STALL_RATIO * size[self.before].max()
+        return self.peak(self.last, some) < STALL_RATIO * self.peak(self.before, some)
 
     def grows(self) -> bool:
         """Whether the errors of the last quarter are larger than those before."""
-        before, usual = self.size[self.before], np.median(self.size[self.last])
-        grown = usual > GROWN * np.median(before) and self.error > max(before.max(), self.floor)
+        usual, before = (np.median(self.size[part]) for part in (self.last, self.before))
+        grown = usual > GROWN * before and self.error > max(self.peak(self.before), self.floor)
         if self.still:
             return grown or usual > GROWN * max(self.size[0], self.floor)
         return grown and usual > LARGE * max(np.median(self.size[: self.last.start]), self.floor)
 
     def swing(self):
         """(largest swing in the last quarter, that in the quarter before, reversals beside those of the path)."""
-        late, before = (_deviation(self.e[part][:, self.counted]) for part in (self.last, self.before))
+        each = [_deviation(self.e[part][:, self.counted]) for part in (self.last, self.before)]
         path = 0 if self.still else _turns(_deviation((self.x + self.e)[self.last]))
-        return np.abs(late).max(initial=0.0), np.abs(before).max(initial=0.0), _turns(late) - 2 * path
+        return *(np.abs(beside).max(initial=0.0) for beside in each), _turns(each[0]) - 2 * path
 
     def shakes(self) -> bool:
         """Whether joints reverse from one step to the next in the last quarter."""
@@ -210,9 +209,9 @@ class _Case:
         axes = self.counted if some is None else np.arange(self.law.task.m)[some]
         units = np.array([u if u in ("m", "rad") else "" for u in np.array(self.law.task.units)[axes]])
         e = self.e[self.last if instants is None else instants][:, axes]
-        if np.linalg.norm(e, axis=1).max() <= self.floor:
-            return "rounding"
         each = {u: np.linalg.norm(e[:, units == u], axis=1).max() for u in ("m", "rad", "") if u in units}
+        if max(each.values()) <= self.floor:
+            return "rounding"
         return " and ".join(aloud(float(size), unit) for unit, size in each.items())
 
     def of_task(self, at, kind) -> str:
@@ -230,11 +229,10 @@ class _Case:
         far = self.unreachable if self.error > FAR * self.length and not lag else ""
         if not words or (acted.all() and lag):
             return far
-        size = self.size[1:]
-        usual = np.median(size[~acted]) if not acted.all() else 0.0
-        if size[acted].max() <= max(2 * usual, 10 * self.floor):
+        when, usual = np.flatnonzero(acted) + 1, 0.0 if acted.all() else np.median(self.size[1:][~acted])
+        if self.peak(when) <= max(2 * usual, 10 * self.floor):
             return far
-        words += f"; while they acted the error was up to {self.largest(np.flatnonzero(acted) + 1)}"
+        words += f"; while they acted the error was up to {self.largest(when)}"
         return "; ".join(filter(None, [far, words]))
 
     def cause(self) -> str:
@@ -303,7 +301,7 @@ class _Case:
         slowest = self.most.min(initial=np.inf)
         if not near.size or not np.isfinite(slowest):
             return NO_REMEDY
-        damping = float(f"{self.alpha.max() * self.size[near[0]] / (2 * slowest):.1g}")
+        damping = float(f"{np.linalg.norm((self.alpha * self.e)[near[0], self.counted]) / (2 * slowest):.1g}")
         if damping >= self.length:  # not steadied by that, but stopped
             return NO_REMEDY
         words = f"near the singularity use a damping of {damping:g}, which keeps joint velocities below |v|/(2 λ)"

@@ -325,7 +325,7 @@ def settled_by(loop: ScalarLoop, s: float) -> int:
     inside = scalar_loop(within(loop.drive), loop.Ts)
     slowest = max(float(inside.radius(s)), own[own < 1 - 1e-9].max(initial=0.0))
     wanted = 2 * np.log(SETTLED) / np.log(slowest) if 0 < slowest < 1 else LONGEST
-    return int(np.clip(wanted + 4 * loop.drive.delay + 50, 50, LONGEST))
+    return int(min(wanted + 4 * loop.drive.delay + 50, LONGEST))
 
 
 # --- what a gain does ---------------------------------------------------------------------------------

@@ -88,3 +88,7 @@ def test_a_causal_step_sees_the_targets_start_alone():
     velocity, e = np.array([0.5, 0.25]), np.array([0.1, 1.6]) - q
     known = ck.step(law, ck.causal(told(ck.path(bent), velocity)), q, 0.0, 0.1, "EXP-MIDPOINT")
     close(known.q, q + 0.1 * velocity - np.expm1(-0.2) * e, atol=1e-14)
+    law = ck.Law(WRIST, ck.orientation(), alpha=5.0)
+    steady = ck.path(lambda t: ck.Pose(position=jnp.zeros(3), rotation=exp_so3(t * jnp.array([0.9, -0.5, 0.7])) @ HOME))
+    one, other = (ck.step(law, moving, TURNED + 0.3, 0.0, 0.1, "EXP-EE").q for moving in (steady, ck.causal(steady)))
+    close(one, other, atol=1e-14)

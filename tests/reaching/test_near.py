@@ -5,6 +5,7 @@ import pytest
 
 import cnclik as ck
 from cnclik import ReachStatus
+from cnclik.reaching import search
 from cnclik.reaching.starts import spans
 from cnclik.reaching.targets import wanted_at
 from tests.oracles import ARMS, robots
@@ -110,7 +111,7 @@ def at_limits(chain, count):
 
 
 @pytest.mark.parametrize("kind", ["twisted", 14])
-def test_an_answer_with_several_joints_at_their_limits_is_found(kind):
+def test_an_answer_with_several_joints_at_their_limits_is_found(kind, monkeypatch):
     """It has hardly any posture about it from which a search within the limits arrives."""
     chain = cornered(kind)
     q = at_limits(chain, 500)
@@ -130,6 +131,8 @@ def test_an_answer_with_several_joints_at_their_limits_is_found(kind):
     assert right(ck.replace(several, status=several.status[:, 0]))
     alone = [ck.reach(chain, target).status for target in tips(chain, q[:4])]
     assert np.isin(alone, [ReachStatus.SOLVED, ReachStatus.OUT_OF_BUDGET]).all()
+    monkeypatch.setattr(search, "TRIES", search.TRIES // 8)  # most tries begin where that is likely
+    assert np.sum(~ck.reach(cornered(kind), tips(chain, q)).solved) <= 10
 
 
 def test_an_answer_with_all_joints_at_limits_is_found_from_beyond_them():

@@ -267,6 +267,7 @@ test_what_cannot_be_asked = refusals(
     ({"near": [0.0, 1.0]}, "`near` must have 6 numbers or shape"),
     ({"near": "last"}, "`near` must be one of previous"),
     ({"solutions": 0}, "`solutions` must be at least 1"),
+    ({"solutions": 1001}, "`solutions` must be at most 1,000, but is 1001"),
     ({"chain": 3}, "`chain` must be a Chain"),
     ({"targets": np.array(np.eye(4) + np.eye(4, k=-3))}, "`targets` must have the last row 0 0 0 1"),
     ({"near": "previous", "solutions": 2}, "`solutions` must be 1 along a path"),

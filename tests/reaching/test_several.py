@@ -113,6 +113,12 @@ def test_farther_than_one_arm_is_long_is_out_of_reach():
     task = ck.position(tip="elbow")
     assert ck.reach(robot, place, task=task).status == ck.ReachStatus.OUT_OF_REACH
     assert ck.reach(robot, place, task=ck.position(tip="hand")).solved
+    planar, bent = bank.robot("two arms"), np.array([0.0, 0.0, 0.5, 0.5, 0.0, 0.0])  # the other arm is stretched
+    one, two = (tip.name for tip in planar.tips)
+    due = {name: np.array(ck.forward(planar, bent, tip=name).position[:2]) for name in (one, two)}
+    due[two][1] += 2e-5
+    task = ck.position("xy", tip=one) & ck.position("xy", tip=two)
+    assert ck.reach(planar, due, task=task).status == ck.ReachStatus.OUT_OF_REACH
 
 
 def test_a_pair_that_is_rigid_and_is_asked_to_part():

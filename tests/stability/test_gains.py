@@ -267,6 +267,8 @@ def test_the_same_loop_elsewhere():
     assert found["Isaac Lab"].value is None and "identify" in found["Isaac Lab"].meaning
     servo = ck.gains(Ts=0.02, drive=Drive(natural_frequency=20.0, damping_ratio=1.0, command="position")).elsewhere
     assert 0 < servo["Isaac Lab"].value <= 1 and servo["UR servoj"].value > 0
+    unknown, late = (ck.gains(Ts=0.02, drive=drive).elsewhere["UR servoj"] for drive in (None, Drive(delay=1.5)))
+    assert unknown == late  # the look-ahead stands for the lag that is assumed
     rate = ck.gains(Ts=0.02, drive=Drive(lag=0.1)).elsewhere
     assert rate["UR servoj"].value is None and rate["Isaac Lab"].value is None
 
@@ -283,6 +285,7 @@ def test_rebased_servos_that_run_away_are_refused():
     assert stable_share(of(late / 0.01 + 1).drive, 0.01) == 0 < stable_share(of(late / 0.01 - 2).drive, 0.01)
     refused = of(late / 0.01 + 1)
     assert refused.recommended == 0 and refused.response is None and "measured joints" in refused.reason
+    assert "no gain" not in ck.gains(Ts=0.01, drive=DRIVES["rebased"]).reason
 
 
 test_bad_input_is_named = refusals(

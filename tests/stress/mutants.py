@@ -125,7 +125,8 @@ def likely(file, line, rows) -> tuple[list, list]:
         contexts = coverage.contexts_by_lineno(str(ROOT / file))
         names = next(filter(None, (contexts.get(k) for k in range(line, line - 9, -1))), ())  # of a statement's first
         if names:
-            tests = sorted({f"{path}::{name.rpartition('.')[2]}" for name in names if name}) or [str(path)]
+            own = [name.rpartition(".")[2] for name in names if not name.startswith("jax.")]  # it has a test_event
+            tests = sorted({f"{path}::{name}" for name in own if name}) or [str(path)]
             elsewhere = "" in names and path.parts[1] != file.parts[1]  # a constant of the module
             cases.append((elsewhere, seconds * len(tests) / len(coverage.measured_contexts()), str(path), tests))
     cases.sort()
