@@ -1,6 +1,7 @@
 """A log that a verb reads: its columns, its sampling time, and which of them are commands and which motion."""
 
 import dataclasses
+import math
 import pathlib
 import re
 from typing import Any
@@ -14,6 +15,7 @@ STATUS = {"status", "state", "mode", "flag", "flags", "code", "id", "seq", "sequ
 STATUS |= {"fault", "valid", "running", "row", "iteration", "safety"}
 TIMES = {"time", "timestamp", "stamp", "times", "timestamps", "rosbagtimestamp", "clock"}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s]
+SIZES = {**dict.fromkeys(("deg", "degree", "degrees"), math.pi / 180), "mm": 1e-3, "cm": 1e-2}  # [rad, m] in a name
 PARTS = {"": "s", "m": "ms", "milli": "ms", "u": "us", "µ": "us", "micro": "us", "n": "ns", "nano": "ns"}
 UNITS = {f"{part}{word}": unit for part, unit in PARTS.items() for word in ("s", "sec", "secs", "seconds")}
 FASTEST, SLOWEST = 2e-4, 0.5  # [s] of a sample, where neither a name nor a Ts gives the unit of stamps
@@ -80,6 +82,7 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     names, table = read_columns("LOG", log)
     if not np.isfinite(table).any():
         raise errors.fail("LOG", "hold numbers", f"{pathlib.Path(log).name} holds none")
+    table *= [math.prod(SIZES.get(word, 1.0) for word in words_of(name)) for name in names]
     if Ts is not None:
         errors.number("Ts", Ts, positive=True)
     t, times, unit = clock(names, table, Ts)

@@ -91,9 +91,10 @@ def test_commands_are_paired_with_the_motion_of_their_own_joint(tmp_path, names)
     assert log.pairs() == ([2, 3], [4, 1])
 
 
-def test_an_emergency_stop_is_no_error(tmp_path):
-    log = read(write(tmp_path / "log.csv", ["t", "e_stop", "q1"], *np.arange(60.0).reshape(3, 20)))
-    assert log.moved() == [1, 2]
+def test_an_emergency_stop_is_no_error_and_units_are_read(tmp_path):
+    """Degrees were taken for radians."""
+    log = read(write(tmp_path / "log.csv", ["t [s]", "e_stop", "q1 [deg]"], *np.arange(60.0).reshape(3, 20)))
+    assert log.moved() == [1, 2] and log.table[0, 2] == pytest.approx(np.radians(40.0))
 
 
 @pytest.mark.parametrize(
