@@ -89,7 +89,8 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     if t is None and Ts is None:
         raise errors.fail("Ts", "be given where no column is called t, time or stamp", "is not")
     stamps = f"{names[times[0]] if times else '--Ts'}, read in {unit}" if Ts is None else "--Ts"
-    chosen = [names.index(errors.one_of("columns", column, names)) for column in columns or ()]
+    at = {str(i + 1): i for i in range(len(names))} | {name: i for i, name in enumerate(names)}
+    chosen = [at[errors.one_of("columns", column, at if column in at else names)] for column in columns or ()]
     left_out = {*times, *no_motion(names, table)}
     motion = [i for i, name in enumerate(names) if i not in left_out and not OTHER & {*words_of(name)}]
     return Log(list(names), table, t, Ts, stamps, motion, chosen)
