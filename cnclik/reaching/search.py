@@ -103,7 +103,7 @@ def advanced(stage: Stage, found: Found, k, near, tried, block=None, xp=np) -> F
     row = row_of(block, n)
     none = ~(row.status == ReachStatus.SOLVED).any(axis=-1, keepdims=True) & uphill
     better = xp.isfinite(row.cost) & ((k % 2 == 1) | (row.cost < found.costs[..., island]))
-    again = tried(stage.terms, row.q, 0.0 * k, k, xp.where(none & better, CAREFUL, 0))
+    again = tried(stage.terms, row.q, 0.0 * k, 0 * k - 1, xp.where(none & better, CAREFUL, 0))
     both, island = xp.concatenate([block, again], axis=-2), xp.concatenate([island, island])
     rows, solved = winners(both, n, near is not None, (k[0] == 0) & uphill, xp)
     row = row_of(both, n)
@@ -266,7 +266,7 @@ def _drawn(search, of: Targets, k, size):
     row = row_of(search.tried(of, search.wide, *beginnings(k, of.near), k, CAREFUL), search.n)
     about = 0.0 if of.near is None else of.near[:, None]
     q = turned(row.q, about, np.array(asked.chain.periodic), *asked.limited())
-    return search.tried(of, search.stages[0].terms, q, none, k, (row.status == ReachStatus.SOLVED) * CAREFUL)
+    return search.tried(of, search.stages[0].terms, q, none, 0 * k - 1, (row.status == ReachStatus.SOLVED) * CAREFUL)
 
 
 def _nearest(asked, rows, near):
