@@ -82,7 +82,8 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     names, table = read_columns("LOG", log)
     if not np.isfinite(table).any():
         raise errors.fail("LOG", "hold numbers", f"{pathlib.Path(log).name} holds none")
-    table *= [math.prod(SIZES.get(word, 1.0) for word in words_of(name)) for name in names]
+    sizes = [math.prod(SIZES.get(word, 1.0) for word in words_of(name)) for name in names]
+    table *= sizes
     if Ts is not None:
         errors.number("Ts", Ts, positive=True)
     t, times, unit = clock(names, table, Ts)
@@ -93,7 +94,8 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     chosen = [at[errors.one_of("columns", column, at if column in at else names)] for column in columns or ()]
     left_out = {*times, *no_motion(names, table)}
     motion = [i for i, name in enumerate(names) if i not in left_out and not OTHER & {*words_of(name)}]
-    return Log(list(names), table, t, Ts, stamps, motion, chosen)
+    own = [name if sizes[i] == 1 else name.partition("[")[0].strip() or name for i, name in enumerate(names)]
+    return Log(own, table, t, Ts, stamps, motion, chosen)
 
 
 def sampled(log: Log) -> float:

@@ -94,7 +94,7 @@ def test_commands_are_paired_with_the_motion_of_their_own_joint(tmp_path, names)
 def test_an_emergency_stop_is_no_error_and_units_are_read(tmp_path):
     """Degrees were taken for radians."""
     log = read(write(tmp_path / "log.csv", ["t [s]", "e_stop", "q1 [deg]"], *np.arange(60.0).reshape(3, 20)))
-    assert log.moved() == [1, 2] and log.table[0, 2] == pytest.approx(np.radians(40.0))
+    assert log.moved() == [1, 2] and log.table[0, 2] == pytest.approx(np.radians(40.0)) and log.names[2] == "q1"
     assert read(str(tmp_path / "log.csv"), columns=("3", "e_stop")).chosen == [2, 1]
     (tmp_path / "tabs.csv").write_text("t\tq1\n0\t1\n")
     with pytest.raises(ArgumentError, match="separated by commas, but tabs"):
