@@ -36,18 +36,13 @@ def sampling_time(t, Ts, N=None) -> float:
 
 
 def spacing(t) -> float:
-    """Return the step of times (N,) where no row is missing: over long intervals jitter counts little.
-
-    Raises: ArgumentError.
-    """
+    """Return the step of times (N,) beside gaps: over long intervals jitter counts little. Raises: ArgumentError."""
     apart, k, usual = max(len(t) // 4, 1), np.arange(float(len(t))), 0.0
-    for _ in range(4 * (len(t) > 1)):  # a better step shows more of the gaps
-        usual = float(np.median((t[apart:] - t[:-apart]) / (k[apart:] - k[:-apart])))
+    for _ in range(4):  # a better step shows more of the gaps
+        usual = float(np.median((t[apart:] - t[:-apart]) / (k[apart:] - k[:-apart]))) if len(t) > 1 else 0.0
         if not usual > 0:
-            break
+            raise errors.fail("t", "increase", f"the median step is {usual:g} s")
         k[1:] = np.cumsum(np.where(missing(t, usual), np.round(np.diff(t) / usual), 1.0))
-    if not usual > 0:
-        raise errors.fail("t", "increase", f"the median step is {usual:g} s")
     return usual
 
 
