@@ -44,6 +44,8 @@ def run(
         errors.one_of("limits", limits, (*PUBLISHED, "FILE.csv"))
     table = _table(Path(limits)) if limits is not None and limits not in PUBLISHED else limits
     places, sent = recorded.moved(), [] if recorded.chosen else recorded.pairs()[0]
+    if chain is not None:
+        places, sent = (_in_order(some, recorded.names, chain.joint_names) for some in (places, sent))
     whole = recorded.columns([*places, *sent])
     q, command = whole[:, : len(places)], whole[:, len(places) :] if sent else None
     t, names = None if recorded.t is None else recorded.t[: len(q)], [recorded.names[i] for i in (*places, *sent)]
@@ -58,6 +60,12 @@ def run(
         print(f"{answer}\n{answer.rows} rows, Ts = {1e3 * answer.Ts:.4g} ms ({recorded.stamps}).")
     if answer.broken:
         sys.exit(1)
+
+
+def _in_order(places, names, joints) -> list:
+    """Columns in the order of the joints whose names they hold, if each joint has one; else as they come."""
+    of = [max((joint for joint in joints if joint in names[i]), key=len, default="") for i in places]
+    return [places[of.index(joint)] for joint in joints] if sorted(filter(None, of)) == sorted(joints) else places
 
 
 def _table(file) -> dict:

@@ -1,6 +1,7 @@
 """A log that a verb reads: its columns, its sampling time, and which of them are commands and which motion."""
 
 import dataclasses
+import math
 import pathlib
 import re
 from typing import Any
@@ -14,6 +15,7 @@ STATUS = {"status", "state", "mode", "flag", "flags", "code", "id", "seq", "sequ
 STATUS |= {"fault", "valid", "running", "row", "iteration", "safety"}
 TIMES = {"time", "timestamp", "stamp", "times", "timestamps", "rosbagtimestamp", "clock"}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s]
+SIZES = {**dict.fromkeys(("deg", "degree", "degrees"), math.pi / 180), "mm": 1e-3, "cm": 1e-2}  # [rad, m] in a name
 PARTS = {"": "s", "m": "ms", "milli": "ms", "u": "us", "µ": "us", "micro": "us", "n": "ns", "nano": "ns"}
 UNITS = {f"{part}{word}": unit for part, unit in PARTS.items() for word in ("s", "sec", "secs", "seconds")}
 FASTEST, SLOWEST = 2e-4, 0.5  # [s] of a sample, where neither a name nor a Ts gives the unit of stamps
@@ -80,16 +82,20 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     names, table = read_columns("LOG", log)
     if not np.isfinite(table).any():
         raise errors.fail("LOG", "hold numbers", f"{pathlib.Path(log).name} holds none")
+    sizes = [math.prod(SIZES.get(word, 1.0) for word in words_of(name)) for name in names]
+    table *= sizes
     if Ts is not None:
         errors.number("Ts", Ts, positive=True)
     t, times, unit = clock(names, table, Ts)
     if t is None and Ts is None:
         raise errors.fail("Ts", "be given where no column is called t, time or stamp", "is not")
     stamps = f"{names[times[0]] if times else '--Ts'}, read in {unit}" if Ts is None else "--Ts"
-    chosen = [names.index(errors.one_of("columns", column, names)) for column in columns or ()]
+    at = {str(i + 1): i for i in range(len(names))} | {name: i for i, name in enumerate(names)}
+    chosen = [at[errors.one_of("columns", column, at if column in at else names)] for column in columns or ()]
     left_out = {*times, *no_motion(names, table)}
     motion = [i for i, name in enumerate(names) if i not in left_out and not OTHER & {*words_of(name)}]
-    return Log(list(names), table, t, Ts, stamps, motion, chosen)
+    own = [name if sizes[i] == 1 else name.partition("[")[0].strip() or name for i, name in enumerate(names)]
+    return Log(own, table, t, Ts, stamps, motion, chosen)
 
 
 def sampled(log: Log) -> float:

@@ -143,7 +143,8 @@ def _limits(limits, chain, k) -> list[dict]:
     """{quantity: limit} of each column, as given, or else of the chain."""
     if isinstance(limits, str):
         limits = PUBLISHED[errors.one_of("limits", limits, PUBLISHED)]
-    limits = {errors.one_of("limits", n, ORDERS): v for n, v in errors.kind("limits", limits or {}, dict).items()}
+    limits = {} if limits is None else errors.kind("limits", limits, dict)
+    limits = {errors.one_of("limits", name, ORDERS): value for name, value in limits.items()}
     if chain is not None and chain.n != k:
         raise errors.fail("q", f"have a column for each of the chain's {chain.n} joints", f"has {k}")
     if chain is not None:

@@ -278,7 +278,7 @@ def turned(y, gain=None) -> tuple | None:
         return None
     y = y / np.concatenate([np.full(len(b), np.sqrt(np.mean(np.var(y[:, b], axis=0))) + 1e-300) for b in blocks])
     floor = UNMODELLED**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
-    level, plain, spins = path_basis(N)[:, :2], np.inf, []
+    level, plain, spins = path_basis(N)[:, :3], np.inf, []  # columns may drift
     left, acts = free(level, y[-N:]), np.cumsum(y, axis=0)  # both sides summed: noise of the measurement stays white
     for d in range(most + 1):
         late = free(level, acts[-N - 1 - d : -1 - d])

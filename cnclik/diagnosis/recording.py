@@ -32,15 +32,17 @@ def sampling_time(t, Ts, N=None) -> float:
         row = int(np.argmax(late))
         found = f"row {row + 2} comes {step[row]:.4g} s after the one before"
         raise errors.fail("t", f"have a row every {usual:g} s", found)
-    return float(step.mean())
+    return usual
 
 
 def spacing(t) -> float:
-    """Return the usual step of times (N,): over long intervals jitter counts little. Raises: ArgumentError."""
-    apart = max(len(t) // 4, 1)
-    usual = float(np.median(t[apart:] - t[:-apart])) / apart if len(t) > 1 else 0.0
-    if not usual > 0:
-        raise errors.fail("t", "increase", f"the median step is {usual:g} s")
+    """Return the step of times (N,) beside gaps: over long intervals jitter counts little. Raises: ArgumentError."""
+    apart, k, usual = max(len(t) // 4, 1), np.arange(float(len(t))), 0.0
+    for _ in range(4):  # a better step shows more of the gaps
+        usual = float(np.median((t[apart:] - t[:-apart]) / (k[apart:] - k[:-apart]))) if len(t) > 1 else 0.0
+        if not usual > 0:
+            raise errors.fail("t", "increase", f"the median step is {usual:g} s")
+        k[1:] = np.cumsum(np.where(missing(t, usual), np.round(np.diff(t) / usual), 1.0))
     return usual
 
 

@@ -71,6 +71,11 @@ def _wide(g, places):
     return array_of([g.apply("convert_element_type", [c], np.int32) for c in places.flat], places.shape)
 
 
+def _type(places):
+    """The type of indices, of which a whole slice has none."""
+    return places.flat[0].dtype if places.size else np.dtype(np.int32)
+
+
 def _plus(g, start, offset):
     if not hasattr(start, "op"):
         return start + offset
@@ -164,7 +169,7 @@ def _gather(g, eqn, x, places):
     else:
         shape = out.shape
     for _, coords, inside in _windows(g, shape, x.shape, places, *of):
-        cell = _taken(g, x, coords, places.flat[0].dtype)
+        cell = _taken(g, x, coords, _type(places))
         made.append(cell if inside is None else g.select(inside, cell, _fill(g, p["fill_value"], cell.dtype)))
     return [Rows(array_of(made, out.shape[1:]), out.shape[0]) if whole else array_of(made, out.shape)]
 
@@ -198,7 +203,7 @@ def _scatter(combine):
                 if not inside.value:
                     continue
                 inside = None
-            number = _number(g, coords, x.shape, places.flat[0].dtype)
+            number = _number(g, coords, x.shape, _type(places))
             _put(g, out, number, inside, updates[at], lambda old, new: combine(g, old, new))
         return [out.reshape(x.shape)]
 

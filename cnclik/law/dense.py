@@ -76,8 +76,8 @@ def _factored(matrix):
 
 
 @_factored.def_vmap
-def _factored_batch(_, __, matrices):
-    return _eliminated(matrices), True
+def _factored_batch(_, batched, matrices):  # by second derivatives also without a batch
+    return (_eliminated(matrices) if batched[0] else _eliminated(matrices[None])[0]), batched[0]
 
 
 @jax.jit  # traced once, though a law has several
@@ -103,6 +103,8 @@ def _substitution(transposed):
 
     @solve.def_vmap
     def _(size, batched, lower, b):
+        if not any(batched):
+            return eliminated(lower[None], b[None], axis=0)[0], False
         if not batched[0]:  # several right sides of one matrix are columns
             wide = jnp.moveaxis(b, 0, -1)
             return jnp.moveaxis(solve(lower, wide.reshape(len(wide), -1)).reshape(wide.shape), -1, 0), True

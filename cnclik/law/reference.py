@@ -64,7 +64,7 @@ def hold_at(
 
     Returns: `Reference`, or `References` for a task with several targets.
     """
-    q, task = errors.array("q", q, (chain.n,), of="joint values"), task.on(chain)
+    q, task = errors.array("q", q, (chain.n,), of="joint values"), errors.kind("task", task, Task).on(chain)
     if all(map(errors.concrete, jax.tree.leaves((chain, q)))):
         q = np.asarray(q, float)  # NumPy compiles nothing
     robot = At(modelled(chain), q)

@@ -109,7 +109,7 @@ def start_from(chain: Chain, task, q0=None):
     """q0 (n,) [rad, m], checked. The default is a posture inside the limits and away from singularities: of each tip's
     task, and of all tips together."""
     if q0 is None:
-        poses = (of for _, of in task.targets if hasattr(of.parts[0], "axes"))
+        poses = (of for _, of in errors.kind("task", task, Task).targets if hasattr(of.parts[0], "axes"))
         return start_posture(chain, *(replace(of, parts=tuple(replace(p, to=None) for p in of.parts)) for of in poses))
     q0 = errors.array("q0", q0, (chain.n,), of="joint values")
     return np.asarray(q0, float) if errors.concrete(q0) else q0

@@ -223,7 +223,7 @@ def _grounded(tree: Tree, base) -> tuple[Tree, str]:
 
     Raises: ArgumentError for a moving base if the file has its own joint for that.
     """
-    if base in (None, "fixed"):
+    if base is None or (isinstance(base, str) and base == "fixed"):
         return tree, tree.root
     if not isinstance(base, str) or base not in _BASES or base in tree.links:
         return tree, _link_of(tree, "base", base)

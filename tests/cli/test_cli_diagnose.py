@@ -91,9 +91,23 @@ def test_commands_are_paired_with_the_motion_of_their_own_joint(tmp_path, names)
     assert log.pairs() == ([2, 3], [4, 1])
 
 
-def test_an_emergency_stop_is_no_error(tmp_path):
-    log = read(write(tmp_path / "log.csv", ["t", "e_stop", "q1"], *np.arange(60.0).reshape(3, 20)))
-    assert log.moved() == [1, 2]
+def test_an_emergency_stop_is_no_error_and_units_are_read(tmp_path):
+    """Degrees were taken for radians."""
+    log = read(write(tmp_path / "log.csv", ["t [s]", "e_stop", "q1 [deg]"], *np.arange(60.0).reshape(3, 20)))
+    assert log.moved() == [1, 2] and log.table[0, 2] == pytest.approx(np.radians(40.0)) and log.names[2] == "q1"
+    assert read(str(tmp_path / "log.csv"), columns=("3", "e_stop")).chosen == [2, 1]
+    (tmp_path / "tabs.csv").write_text("t\tq1\n0\t1\n")
+    with pytest.raises(ArgumentError, match="separated by commas, but tabs"):
+        read(str(tmp_path / "tabs.csv"))
+
+
+def test_joints_of_a_log_are_in_the_order_of_the_robots(tmp_path, capsys):
+    """ROS drivers publish joints in an order of their own, and grippers beside them."""
+    names = ["t", "gripper", *(f"panda_joint{i}/position" for i in (7, 1, 2, 4, 3, 6, 5))]
+    q = np.tile([0, 0, 0, -1.5, 0, 1.5, 0], (100, 1))
+    q[:, 0] = 2.4e-3 * np.arange(100)  # a speed that joint 7 may have, and joint 1 may not
+    main(["check", write(tmp_path / "log.csv", names, 1e-3 * np.arange(100), q[:, 0], *q.T), "panda"])
+    assert "No limit is broken." in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

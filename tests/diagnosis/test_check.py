@@ -5,6 +5,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.diagnosis import check_log
+from cnclik.diagnosis.recording import sampling_time
 
 K = np.arange(1000)
 
@@ -50,6 +51,11 @@ def test_no_derivative_goes_across_a_gap_or_a_wrap():
     assert not check.broken and worst(check, "velocity").value == pytest.approx(4.0, rel=0.02)
     order = np.r_[0:200, 190:1000]
     assert worst(check_log(t[order], q[order]), "reversed").value == 1
+    assert sampling_time(t[order], None) == pytest.approx(4e-3)
+    some = rng.random(1000) > 0.05  # rows that a network lost; with their mean for Ts half of the gaps were none
+    check = check_log(t[some], q[some])
+    assert check.Ts == pytest.approx(4e-3) and worst(check, "missing").value == 1000 - some.sum()
+    assert worst(check, "velocity").value == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("resolution", [0.0, 2e-4])

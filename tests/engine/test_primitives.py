@@ -179,7 +179,8 @@ def test_places_that_each_lane_has_for_itself():
     def fn(x, k):
         taken = [x[k[0]], lax.dynamic_slice(x, (k[0],), (3,)), jnp.take(x, k), jnp.take(x, k, mode="clip")]
         put = [x.at[k[0]].set(7.0), x.at[k].add(2.0), lax.dynamic_update_slice(x, x[:2], (k[1],)), x.at[k].max(0.5)]
-        return taken, put, x.reshape(-1, 5)[k[0] % 2, k[1] % 5], x.at[jnp.array([1, 3])].mul(2.0), x[jnp.array([2, 0])]
+        put += [x.at[:].set(3.0 * x), x.at[jnp.array([1, 3])].mul(2.0)]
+        return taken, put, x.reshape(-1, 5)[k[0] % 2, k[1] % 5], x[jnp.array([2, 0])], x.at[:].get()
 
     def beyond(x, k):
         """The nearest place; what is written there does nothing."""

@@ -89,7 +89,7 @@ def test_kinematics_are_the_librarys(dtype, near):
 ROBOT, Q = bank.robot("two arms"), np.array([0.2, -0.4, 0.7, 0.5, -0.6, -0.8])
 LEFT, RIGHT = TIPS = [tip.name for tip in ROBOT.tips]
 TASK = ck.stack(
-    hands=ck.pose("xy", "z", tip=LEFT) & ck.position("xy", tip=RIGHT),
+    hands=ck.pose("xy", tip=LEFT) & ck.position("xy", tip=RIGHT),
     apart=ck.position("xy", tip=LEFT, relative_to=RIGHT),
     rest=ck.joints(),
 )

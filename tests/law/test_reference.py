@@ -176,6 +176,9 @@ TURN = np.eye(3)
 
 
 test_bad_input = refusals(
+    (lambda: ck.hold_at(ck.panda(), "pose", np.zeros(7)), "`task` must be a Task, but is str"),
+    (lambda: ck.problem.start_from(ck.panda(), "pose"), "`task` must be a Task, but is str"),
+    (lambda: ck.check_log(None, np.ones(9), Ts=0.1, limits=np.ones(2)), "`limits` must be a dict"),
     (lambda: ck.hold(None), "`target` must be a position or come with a `rotation`"),
     (lambda: ck.hold([1, 2, 3, 1, 0, 0, 0], TURN), "`rotation` must be left out where `target` is a whole pose"),
     (lambda: ck.hold([1, 2, 3, 4]), r"1 to 3 coordinates \(joint values are given by hold\(values=...\)\), but has 4"),

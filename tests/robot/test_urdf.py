@@ -254,3 +254,5 @@ def test_a_files_text_is_read_like_the_file(tmp_path):
     assert str(of_file) == str(of_text) and of_file.joints[1].origin.position == of_text.joints[1].origin.position
     with pytest.raises(ck.ArgumentError, match="the text holds <html>, not <robot>"):
         ck.load_urdf("<html/>")
+    with pytest.raises(ck.ArgumentError, match="`base` must be fixed, planar, free or one of the 4 links"):
+        ck.load_urdf(long_chain(3), base=np.eye(4))
