@@ -65,7 +65,7 @@ with_jax(lambda jax: jax.tree_util.register_static(Method))
 
 def _weights(name, values) -> tuple:
     """Return weights or times of a method as a tuple of floats."""
-    return tuple(float(x) for x in errors.array(name, values, (None,)))
+    return tuple(float(x) for x in errors.array(name, values, (None,), (0,)))  # explicit: the first row is empty
 
 
 def _tableau(name, order, A, b, source) -> Method:

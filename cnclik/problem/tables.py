@@ -25,7 +25,8 @@ def read_columns(argument: str, file) -> tuple:
     except (UnicodeDecodeError, csv.Error) as error:
         reason = "is no text in UTF-8" if isinstance(error, UnicodeDecodeError) else error
         raise errors.fail(argument, "name a CSV file that can be read", f"{path.name}: {reason}") from None
-    if rows and (";" in rows[0][0] or (len(rows[-1]) == 1 and len(rows[-1][0].split()) > 1)):
+    numbers = [quantities.number(cell) for cell in rows[-1][0].split()] if rows else []
+    if rows and (";" in rows[0][0] or (len(numbers) > 1 and None not in numbers)):
         raise errors.fail(argument, "have columns that are separated by commas", f"{path.name} holds {rows[0][0]!r}")
     if not rows:
         return (), np.zeros((0, 0))
