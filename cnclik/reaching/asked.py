@@ -123,7 +123,11 @@ def _asked(chain, task, tolerance, jump, limits) -> Asked:
     pair = np.asarray(errors.array("tolerance", tolerance, (2,), finite=False))
     if not (pair > 0).all():
         raise errors.fail("tolerance", "hold positive numbers", f"is {tolerance!r}")
-    task = task if isinstance(task, Task) else TASKS[errors.one_of("task", task, TASKS)]
+    if not isinstance(task, Task):
+        if task not in [*TASKS]:
+            must = f"be a Task, such as ck.position('xy'), or one of {', '.join(TASKS)}"
+            raise errors.fail("task", must, f"is {task!r}")
+        task = TASKS[task]
     task = task.on(chain)
     aims(task)
     return Asked(

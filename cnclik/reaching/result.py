@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cnclik import errors
 from cnclik.record import AnyArray, Bool, Float, Int, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
@@ -58,7 +59,10 @@ class Reached:
         """(B − 1,) how far a tip, the one that strays most, leaves the straight line half-way between rows [m].
 
         While all joints move evenly from one answer to the next; NaN where one of both is missing.
+        Raises: ArgumentError for what is no path: one target, or several solutions of each.
         """
+        if self.q.ndim != 2:
+            raise errors.fail("targets", "be rows of a path, each with one answer", f"gave q of shape {self.q.shape}")
         q, chain = np.where(self.solved[:, None], self.q, np.nan), modelled(self.chain)
         tips = dict.fromkeys((aim.tip, aim.to) for aim in aims(self.task))
         there, between = At(chain, q), At(chain, (q[1:] + q[:-1]) / 2)

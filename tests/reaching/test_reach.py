@@ -186,6 +186,8 @@ def test_a_path_says_how_far_its_tip_strays():
     wanted = np.linalg.norm(half - (line[1:] + line[:-1]) / 2, axis=1)
     np.testing.assert_allclose(made.strays, wanted, atol=2e-6)
     assert 1e-3 < made.strays.min() < made.strays.max() < 1e-2
+    with pytest.raises(ck.ArgumentError, match="`targets` must be rows of a path"):
+        ck.replace(made, q=made.q[0]).strays
     line[2] = 5.0
     gap = ck.reach(panda, line, task="position", near="previous").strays
     assert np.isnan(gap).tolist() == [False, True, True, False, False]
@@ -260,7 +262,7 @@ test_what_cannot_be_asked = refusals(
     ({"targets": 2 * np.eye(4)}, "`targets` must hold a rotation, .* but is off by 3"),
     ({"targets": (np.zeros((2, 3)), np.eye(3)[None])}, "must be as many of each, or one, but are 1 and 2"),
     ({"targets": np.zeros((0, 4, 4))}, "at least one target"),
-    ({"task": "elbow"}, "`task` must be one of"),
+    ({"task": "xy"}, r"`task` must be a Task, such as ck.position\('xy'\), or one of pose, position, orientation"),
     ({"tolerance": 1e-6}, "`tolerance` must have 2 numbers"),
     ({"tolerance": (1e-6, -1)}, "`tolerance` must hold positive"),
     ({"jump": 0.1}, "`near` must be given with `jump`"),
