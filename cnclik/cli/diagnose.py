@@ -40,6 +40,8 @@ def run(
         raise errors.fail("alpha", f"be left out with --{'tasks' if tasks else 'step'}", "is given")
     if step and tasks:
         raise errors.fail("step", "be left out with --tasks", "is given")
+    if command != "position" and not step:
+        raise errors.fail("command", "come with --step", "comes without")
     recorded = read(log, **columns)
     Ts = sampled(recorded)
     if out is not None:

@@ -75,6 +75,7 @@ MISTAKES = [
     ("diagnose log.csv --tasks a", "Option `--tasks` must have columns such as a.x in LOG"),
     ("diagnose stack.csv --tasks a --alpha 5", "`--alpha` must be left out with --tasks"),
     ("diagnose stack.csv --tasks a --step", "`--step` must be left out with --tasks"),
+    ("diagnose log.csv --command velocity", "Option `--command` must come with --step"),
     ("diagnose stack.csv --tasks b=-3", "must be positive, but is -3"),
     ("diagnose log.csv --columns q3", "Option `--columns` must be one of t, q1, but is 'q3'"),
     ("diagnose log.csv --step --columns q1", "Option `--columns` must name as many motions as commands"),
