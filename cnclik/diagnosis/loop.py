@@ -34,6 +34,7 @@ GIVEN, SELDOM = 0.15, 0.03  # relative deviation of the loop's gain from a known
 TAIL, MIDDLE = 0.1, 0.6  # share of the likely drives beyond each end; where between the ends' shares that chosen is
 LEFT = 0.1  # share of the power of the motion that turned frames leave unexplained, at most
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
+CLEARER = 0.3  # decrease of it per row, where coordinates with drives of their own look alike
 ALIKE = 60.0  # of the criterion, within which another dead time explains a spiral as well
 STEADY = 1.1  # ratio of the sizes in the last thirds of a circle, at most; the first one may be a push
 PARTS = 250  # rows to which a spiral or a growth is averaged
@@ -294,7 +295,7 @@ def turned(y, gain=None) -> tuple | None:
             spins.append((score + np.log(N) * 4, d, z / m, u @ vt, np.sum(rests[1] ** 2) / np.sum(left**2)))
     least = min((spin[0] for spin in spins), default=0.0)
     alike = sorted((spin for spin in spins if spin[0] <= least + ALIKE), key=lambda spin: spin[1::-1])
-    if not alike or alike[0][4] > LEFT or plain - alike[0][0] < BETTER:
+    if not alike or alike[0][4] > LEFT or plain - alike[0][0] < max(BETTER, CLEARER * N):
         return None
     best = alike[0] if gain is None else min(alike, key=lambda spin: abs(np.log(spin[2] / gain)))
     turn = np.eye(3)
