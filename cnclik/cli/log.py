@@ -6,7 +6,7 @@ import pathlib
 import re
 from typing import Any
 
-from cnclik import errors
+from cnclik import errors, quantities
 
 SENT = {"command", "commands", "commanded", "cmd", "target", "desired", "reference", "ref", "setpoint", "sent"}
 MOVED = {"position", "positions", "pos", "motion", "actual", "measured", "feedback"}
@@ -15,7 +15,8 @@ STATUS = {"status", "state", "mode", "flag", "flags", "code", "id", "seq", "sequ
 STATUS |= {"fault", "valid", "running", "row", "iteration", "safety"}
 TIMES = {"time", "timestamp", "stamp", "times", "timestamps", "rosbagtimestamp", "clock"}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s]
-SIZES = {**dict.fromkeys(("deg", "degree", "degrees"), math.pi / 180), "mm": 1e-3, "cm": 1e-2}  # [rad, m] in a name
+SIZES = {word: factor for word, (factor, _) in quantities.units("q").items()}  # in rad or m, of a word in a name
+SIZES |= dict.fromkeys(("degree", "degrees"), SIZES["deg"])
 PARTS = {"": "s", "m": "ms", "milli": "ms", "u": "us", "µ": "us", "micro": "us", "n": "ns", "nano": "ns"}
 UNITS = {f"{part}{word}": unit for part, unit in PARTS.items() for word in ("s", "sec", "secs", "seconds")}
 FASTEST, SLOWEST = 2e-4, 0.5  # [s] of a sample, where neither a name nor a Ts gives the unit of stamps

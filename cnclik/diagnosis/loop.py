@@ -294,7 +294,7 @@ def turned(y, gain=None) -> tuple | None:
         if z > 0:
             spins.append((score + np.log(N) * 4, d, z / m, u @ vt, np.sum(rests[1] ** 2) / np.sum(left**2)))
     least = min((spin[0] for spin in spins), default=0.0)
-    alike = sorted((spin for spin in spins if spin[0] <= least + ALIKE), key=lambda spin: spin[1::-1])
+    alike = [spin for spin in spins if spin[0] <= least + ALIKE]
     if not alike or alike[0][4] > LEFT or plain - alike[0][0] < max(BETTER, CLEARER * N):
         return None
     best = alike[0] if gain is None else min(alike, key=lambda spin: abs(np.log(spin[2] / gain)))
