@@ -143,7 +143,7 @@ def machine() -> str:
     kind = [platform.system(), platform.machine(), platform.processor()]
     with contextlib.suppress(OSError), open("/proc/cpuinfo") as info:
         kind += sorted({row for row in info if row.startswith(("model name", "flags", "Features", "CPU part"))})
-    return f"jaxlib-{jaxlib.__version__}-{hashlib.sha256(repr(kind).encode()).hexdigest()[:12]}"
+    return f"jaxlib-{jaxlib.version.__version__}-{hashlib.sha256(repr(kind).encode()).hexdigest()[:12]}"
 
 
 def cut(folder: pathlib.Path, most_bytes: int) -> None:

@@ -40,6 +40,7 @@ else:
 
     jax = _Lazy()
 
+__all__ = ["Array", "ArrayLike", "Bool", "Float", "Int"]  # what is passed on
 AnyArray = Array | np.ndarray  # JAX's or NumPy's
 Number = float | np.floating | np.integer | Float[AnyArray, ""]  # compiled in as a float, a parameter as an array
 T = TypeVar("T")

@@ -118,7 +118,10 @@ def check_log(
     q = columns("q", q, "check_log", least=4)
     sent = q[:, :0] if command is None else columns("command", command, "check_log", like=q, least=4)
     k, most = q.shape[1], _limits(limits, chain, q.shape[1])
-    names = [f"{w} {i + 1}" for w in ("joint", "command") for i in range(k)] if names is None else list(names)
+    if names is None:
+        names = [f"{w} {i + 1}" for w in ("joint", "command") for i in range(k)]
+    elif isinstance(names, str) or not isinstance(names, Sequence) or len(names) != k + sent.shape[1]:
+        raise errors.fail("names", f"be a list of {k + sent.shape[1]} names", f"is {names!r}")
     if t is None:
         t = float(errors.number("Ts", Ts, positive=True)) * np.arange(len(q))
     t = np.asarray(errors.array("t", t, (len(q),)), float)

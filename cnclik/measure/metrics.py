@@ -8,7 +8,7 @@ missing one. NaN means "not defined", and occurs only where a metric's descripti
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -19,9 +19,10 @@ from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory, check_run
-from cnclik.law import reference as ref
 from cnclik.law.inverse import least_squared
 from cnclik.law.law import Law, check_loop, weighted
+from cnclik.law.paths import Reference
+from cnclik.law.reference import References, sample
 from cnclik.measure.outcome import judge, stable
 from cnclik.record import Number, cast
 from cnclik.robot.model import modelled, one_off
@@ -49,7 +50,7 @@ class Measured(NamedTuple):
 
     run: Trajectory  # one lane
     law: Law
-    reference: ref.Reference | ref.References
+    reference: Reference | References
     tolerance: Number  # of ‖e‖ [m, rad]
     swings: bool = False  # whether errors may, as through a drive
 
@@ -92,7 +93,7 @@ def _count(hit):
 def _along(of):
     """Return the position error along the path (N + 1, 1), positive if behind; 0 at rest. And along its tangent."""
     task = of.law.task
-    v = jax.vmap(lambda t: ref.sample(of.reference, task, t)[1])(of.run.t)[:, np.array(task.lengths)]
+    v = jax.vmap(lambda t: sample(of.reference, task, t)[1])(of.run.t)[:, np.array(task.lengths)]
     speed = _norms(v)[:, None]
     tangent = jnp.where(speed > 0, v / jnp.where(speed > 0, speed, 1.0), 0.0)
     along = jnp.sum(_position(of) * tangent, axis=-1, keepdims=True)
@@ -202,7 +203,7 @@ DEFAULT += ("residual", "evaluations", "ok", *_MARKED)
 def measure_run(
     run: Trajectory,
     law: Law,
-    reference: ref.Reference | ref.References,
+    reference: Reference | References,
     names: Sequence[str] = DEFAULT,
     *,
     tolerance: Number = 1e-3,
@@ -240,7 +241,7 @@ def _values(run, law, reference, tolerance, *, swings, names):
 
 def check(names, law: Law) -> None:
     """Raise ArgumentError unless every name is a metric that the law's task has."""
-    for name in names:
+    for name in errors.kind("metrics", names, Iterable, "be a list of names"):
         needs = METRICS[errors.one_of("metrics", name, METRICS)].needs
         if needs and not getattr(law.task, needs):
             raise errors.fail("metrics", f"be ones of the task ({', '.join(law.task.names)})", f"include {name!r}")

@@ -52,6 +52,6 @@ def file_of(name: str) -> str | None:
     try:
         loaded = importlib.import_module(module)
         return str(getattr(loaded, "URDF_PATH", None) or loaded.MJCF_PATH)
-    except Exception as error:  # network, git and disk raise different errors
+    except Exception as error:  # noqa: BLE001 - network, git and disk raise different errors
         must = "be one that robot_descriptions can load, in URDF or MJCF"
         raise errors.fail("robot", must, f"{name!r} ends with {errors.in_a_line(error)}") from None

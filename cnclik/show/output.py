@@ -52,7 +52,7 @@ def draw(figures, path, *, again="", progress=None, overwrite=False) -> list:
                     folder.write(file, functools.partial(style.save, make(), about=about))
             except Refused:
                 raise
-            except Exception as error:  # some mistakes, as in a title's formula, appear only on saving
+            except Exception as error:  # noqa: BLE001 - some mistakes, as in a title's formula, appear only on saving
                 failed[file] = error
     if failed:
         what = ", ".join(f"{file} ({errors.in_a_line(error)})" for file, error in failed.items())

@@ -157,6 +157,8 @@ def plane(methods, passes, *, points=201):
     passes = [errors.integer("passes", M, at_least=0) for M in passes]
     points = errors.integer("points", points, at_least=2, at_most=10_000)
     cases = [(method, M) for method in methods for M in ([*passes, None] if method.implicit else [None])]
+    if not cases:
+        raise errors.fail("methods", "hold a method", "is empty")
     x, y = np.linspace(-2.0, 4.0, points), np.linspace(-4.0, 4.0, points)
     regions = [np.abs(amplification(method, x + 1j * y[:, None], M)).astype(np.float32) for method, M in cases]
     return xr.Dataset(

@@ -6,6 +6,7 @@ import pytest
 import cnclik as ck
 from cnclik.diagnosis import check_log
 from cnclik.diagnosis.recording import sampling_time
+from cnclik.errors import ArgumentError
 
 K = np.arange(1000)
 
@@ -80,3 +81,5 @@ def test_how_far_the_tip_strays_half_way():
     assert worst(check, "half-way between rows").value == pytest.approx(1e3 * (1 - np.cos(0.05)), rel=1e-6)
     assert [finding.what for finding in check.broken] == ["beyond its range", "velocity"]
     assert check.broken[0].value == pytest.approx(0.1)
+    with pytest.raises(ArgumentError, match="`names` must be a list of 1 names, but is 'elbow'"):
+        check_log(None, np.zeros(9), Ts=1.0, names="elbow")

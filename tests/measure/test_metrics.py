@@ -70,6 +70,7 @@ def test_a_loop_that_never_arrives_or_is_not_finite_is_infinite_never_small():
 test_what_was_not_run_is_refused = refusals(
     ({"run": "run"}, "`run` must be a Trajectory, but is str"),
     ({"run": jax.tree.map(lambda v: np.stack([v, v]), RUN)}, "`run` must be one lane, but has 1 leading axes"),
+    ({"names": None}, "`metrics` must be a list of names, but is NoneType"),
     ({"names": ["mean_eror"]}, "did you mean 'mean_error'"),
     ({"names": ["rms_rotation_error"]}, r"ones of the task \(x, y\), but include 'rms_rotation_error'"),
     ({"law": 3}, "`law` must be a Law, but is int"),

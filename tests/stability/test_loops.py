@@ -141,6 +141,8 @@ def test_a_plane_has_regions_and_limits():
     np.testing.assert_array_equal(data.region[0].values <= 1 + 1e-6, inside)
     with pytest.raises(ArgumentError, match="`points` must be at least 2"):
         plane(("EE",), (), points=1)
+    with pytest.raises(ArgumentError, match="`methods` must hold a method"):
+        plane((), ())
 
 
 test_bad_maps_are_named = refusals(

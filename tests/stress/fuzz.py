@@ -237,7 +237,7 @@ def wrong(use, case) -> str:
         why = str(error)
         if len(why) > MOST_CHARACTERS or len(why.splitlines()) > 1 or "\x1b" in why:
             told.append(f"refused in {len(why)} characters: {why[:300]!r}")
-    except (Exception, SystemExit, Late) as error:
+    except (Exception, SystemExit, Late) as error:  # noqa: BLE001 - whatever it is
         told.append("".join(traceback.format_exception(error)[-6:]))
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
