@@ -34,6 +34,7 @@ DECAYS = "It decays without overshoot by this log: no smaller gain is needed."
 OPEN = "It oscillates, but the drives that may be behind it tolerate gains too different: record a step (--step)."
 SMALL = "alpha is too small to make it oscillate like this: counts of an encoder, noise or a path may."
 PATH = "A path of this period looks alike: record with the target at rest."
+CIRCLES = "Its columns swing one after the other: look whether error and Jacobian are in the same frame."
 UNLESS = "Where position commands start at the measured joints a smaller gain may not help: start each at the last one."
 
 
@@ -109,25 +110,29 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     if not scaled.shape[1]:
         return {"kind": CALM, "note": "No column moves by more than some steps of its resolution."}
     sure = UNKNOWN if alpha is None else SURE
-    turn, z, steady = (loop.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None) or (np.zeros(3), 0, 0)
+    tail, x = max(len(scaled) // 5, 8), loop.main_parts(scaled)[:, 0]
+    x = x - np.median(x[-tail:])
+    x = x[(push := int(np.argmax(np.abs(x)))) :] / (x[push] or 1.0)
+    soon = 4 * np.argmax(x < 0.5) < len(x)  # else it has not come to rest
+    settled = soon and len(x) > tail and np.std(x[-tail:]) < SETTLED and np.min(x) > -PASSED
+    circle = read is not None and loop.on_a_circle(y[read.first : read.last], read.mode)
+    spiral = loop.turned(y, alpha and alpha * Ts, circle=circle) if scaled.shape == y.shape else None
+    turn, z, steady = spiral or (np.zeros(3), 0, 0)
     main = int(np.argmax(np.abs(turn)))
     angle = float(np.copysign(np.linalg.norm(turn), turn[main]))
     along = abs(turn[main]) > 0.99 * abs(angle)
-    if abs(angle) > TURNED and (abs(angle) < HALF or along):
+    if not settled and abs(angle) > TURNED and (abs(angle) < HALF or along):
         if steady if alpha is None else not SAME[0] < z / (alpha * Ts) < SAME[1]:
             return {"kind": UNDECIDED, "note": UNFINISHED}  # as on a circular path
         axis = "xyz"[main] if along else np.round(turn / angle, 2)
         note = f"Error and Jacobian are in frames turned by {abs(angle):.3g}° against each other about {axis}: no gain "
         note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
         return dict(kind="spiral", cause="turned frames", angle=angle, confidence=sure, note=note)
+    if circle:
+        return {"kind": CALM, "note": DECAYS} if settled else {"kind": UNDECIDED, "note": CIRCLES}
     if rate := loop.growth(scaled):
         note = WRONG_SIGN.format(rate)
         return dict(kind="growth without oscillation", cause="wrong sign", growth=rate, confidence=sure, note=note)
-    tail, x = max(len(scaled) // 5, 8), loop.main_parts(scaled)[:, 0]
-    x = x - np.median(x[-tail:])
-    x = x[(push := int(np.argmax(np.abs(x)))) :] / (x[push] or 1.0)
-    soon = 4 * np.argmax(x < 0.5) < len(x)  # else it has not come to rest
-    settled = soon and len(x) > tail and np.std(x[-tail:]) < SETTLED and np.min(x) > -PASSED
     sways = read is not None and read.evidence > KNOWN and np.isfinite(read.period) and read.swings > SURELY
     if sways and not (settled and alpha is None) and (fields := _swing(scaled, read, Ts, alpha)):
         return fields

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik.diagnosis.check import APART, around
+from cnclik.diagnosis.recording import LARGEST
 from cnclik.integrate.drive import MOST, Drive
 
 ROWS = 2000  # rows that are read, those that move most: more change no digit of a gain
@@ -37,6 +38,7 @@ BETTER = 12.0  # decrease of the information criterion that is more than strong 
 CLEARER = 0.3  # decrease of it per row, where coordinates with drives of their own look alike
 ALIKE = 60.0  # of the criterion, within which another dead time explains a spiral as well
 STEADY = 1.1  # ratio of the sizes in the last thirds of a circle, at most; the first one may be a push
+CIRCLE = 0.33  # |Σv²| over Σ|v|² of an ellipse of ratio 0.7; those of arms whose joints differ have 0.49 at least
 PARTS = 250  # rows to which a spiral or a growth is averaged
 WAY = 1.05  # of a growth, its way over its distance: noise apart it never turns back
 FASTER = 37 / 19  # ratio of the last two quarters of a cubic from rest: what bends no more may be a path,
@@ -221,6 +223,8 @@ def read(y) -> Loop | None:
     lags = np.array([np.array(LAGS) * m, lags])
     mode = modes[np.argmax(odds[likely])]
     period = 2 * np.pi / mode.imag if mode.imag > 1e-9 else np.inf
+    if mode.real * (last - first) > np.log(LARGEST):
+        return None
     return Loop(mode, period, float(none - score.min()), share, interval, lags, first, last, begins)
 
 
@@ -259,7 +263,7 @@ def drives_of(read, mode, Ts, alpha, *, clipped) -> tuple:
     return middle, tuple(both), float(gain[places[0]]), gain.min(), gain[ends].max(), np.exp(np.ptp(share[ends]))
 
 
-def turned(y, gain=None) -> tuple | None:
+def turned(y, gain=None, *, circle=False) -> tuple | None:
     """The rotation R of Δe[k] = −z R e[k − d] (Kabsch 1976) of two or three coordinates, or of both halves of six.
 
     Returns its rotation vector (3,) [degrees], z per row, and whether its size stays as of a circle; None where a z of
@@ -295,7 +299,7 @@ def turned(y, gain=None) -> tuple | None:
             spins.append((score + np.log(N) * 4, d, z / m, u @ vt, np.sum(rests[1] ** 2) / np.sum(left**2)))
     least = min((spin[0] for spin in spins), default=0.0)
     alike = [spin for spin in spins if spin[0] <= least + ALIKE]
-    if not alike or alike[0][4] > LEFT or plain - alike[0][0] < max(BETTER, CLEARER * N):
+    if not alike or alike[0][4] > LEFT or not (circle or plain - alike[0][0] > max(BETTER, CLEARER * N)):
         return None
     best = alike[0] if gain is None else min(alike, key=lambda spin: abs(np.log(spin[2] / gain)))
     turn = np.eye(3)
@@ -326,6 +330,19 @@ def growth(y) -> float:
     rate = float(abs(slowest(*wrong[:3, np.argmin(wrong[3])])) ** (1 / m))
     grown = np.diff(np.log(np.maximum(steps, 1e-3 * steps[3]))) / (N / 4 * np.log(rate))  # over what the mode grows
     return rate if (steps[3] > FASTER * steps[2] and grown[2] > 0.5) or np.all(np.abs(grown[1:] - 1) < EVEN) else 0.0
+
+
+def on_a_circle(y, mode) -> bool:
+    """Whether a mode s [1/row] is most of what columns y (N, k) show, for a turn at least, one after the other.
+
+    Their complex amplitudes v have |Σv²| = Σ|v|² where they swing at once, as after a push, and Σv² = 0 on a circle.
+    """
+    y, wave = main_parts(y), np.exp(mode * (np.arange(len(y)) - len(y) * (mode.real > 0)))
+    basis = np.stack([np.ones(len(y)), wave.real, wave.imag], 1)
+    amplitude = np.linalg.lstsq(basis, y, rcond=None)[0]
+    v, left = amplitude[1] - 1j * amplitude[2], y - basis @ amplitude
+    most = np.sum(left**2) < LEFT * np.sum((y - y.mean(0)) ** 2)
+    return bool(mode.imag * len(y) > 2 * np.pi and most and abs(np.sum(v**2)) < CIRCLE * np.sum(np.abs(v) ** 2))
 
 
 def swept(y, period) -> tuple[float, float, float]:
