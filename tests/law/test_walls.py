@@ -219,8 +219,8 @@ def limited(wall):
 
 
 test_what_does_not_fit_is_refused = refusals(
-    (lambda: ck.wall(ck.position("z")), "`above` must be given, or `below`"),
-    (lambda: ck.wall(ck.position("z"), above=0.0, below=1.0), "`above` must be given, or `below`"),
+    (lambda: ck.wall(ck.position("z")), "`above` must be given, or `below`, but not both, but neither is."),
+    (lambda: ck.wall(ck.position("z"), above=0.0, below=1.0), "but not both, but both are."),
     (lambda: ck.wall(ck.position(), above=0.0), "`normal` must be given for 3 coordinates"),
     (lambda: ck.wall(ck.pose(), above=0.0), "`task` must be of positions"),
     (lambda: ck.bounded(walls=ck.wall(ck.position("z"), above=0.0)), "`walls` must be a list"),

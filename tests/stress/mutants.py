@@ -3,7 +3,7 @@
 Each mutant is a copy of the tree with one fault in `law`, `integrate`, `robot`, `engine`, `stability` or `reaching`: a
 sign, a comparison or a constant changed, + for -, a term or a condition dropped. First each test file runs once under
 `coverage` (ten minutes, kept in a folder for temporary files while the tree stays as it is). The tests that run the
-fault's line then run until the first failure, the cheapest files first.
+fault's line then run until the first failure, those of its room first.
 
     python -m tests.stress.mutants --count 60                     # a new seed each day
     python -m tests.stress.mutants --seed 3 --first 17 --count 1  # one again; or the rest of a run that was ended
@@ -127,7 +127,7 @@ def likely(file, line, rows) -> tuple[list, list]:
         if names:
             own = [name.rpartition(".")[2] for name in names if not name.startswith("jax.")]  # it has a test_event
             tests = sorted({f"{path}::{name}" for name in own if name}) or [str(path)]
-            elsewhere = "" in names and path.parts[1] != file.parts[1]  # a constant of the module
+            elsewhere = path.parts[1] != file.parts[1]  # a fault is seen first where it belongs
             cases.append((elsewhere, seconds * len(tests) / len(coverage.measured_contexts()), str(path), tests))
     cases.sort()
     return [test for *_, tests in cases for test in tests], [path for *_, path, _ in cases]
