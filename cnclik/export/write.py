@@ -4,8 +4,6 @@ import os
 import pathlib
 import re
 
-import numpy as np
-
 from cnclik import errors
 from cnclik.engine.graph import UnsupportedError
 from cnclik.export.example import example, readme
@@ -58,7 +56,7 @@ def c(
     name = ("kinematics" if isinstance(law, Chain) else "step") if name is None else name
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", name):
         raise errors.fail("name", "be a C identifier of at most 60 letters such as clik_step", f"is {name!r}")
-    dtype = errors.one_of("dtype", str(np.dtype(dtype)) if not isinstance(dtype, str) else dtype, _DTYPES)
+    dtype = errors.one_of("dtype", dtype, _DTYPES)
     names, out = Names(name, _DTYPES[dtype]), errors.path("out", out)
     request = Request(law, reference, named(method), picard(5) if stage is None else stage, names.dtype)
     try:

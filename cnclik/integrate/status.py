@@ -83,7 +83,7 @@ def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
     """
     if not (hasattr(run, "status") and hasattr(run, "t")):  # a Trajectory's class is in a later module
         raise errors.fail("run", "be a Trajectory", f"is {type(run).__name__}")
-    status = np.asarray(run.status) & ~int(allow)
+    status = np.asarray(run.status) & ~int(errors.kind("allow", allow, (Status, int)))
     if not status.any():
         return run
     # Earliest step over all lanes: the last axis is time.

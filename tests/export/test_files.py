@@ -121,6 +121,7 @@ test_what_cannot_be_exported_is_refused = refusals(
     *(({"name": bad}, "`name` must") for bad in ("clik step", "1st", "a" * 61, "größe")),
     *(({"out": bad}, "`out` must") for bad in (5, "\0x")),
     ({"dtype": "float16"}, "`dtype` must"),
+    ({"dtype": 3}, "`dtype` must be one of float64, float32, double, float, but is 3"),
     ({"reference": "circle"}, "`reference` must"),
     of=lambda law=a_law(), out="never", **options: ck.export.c(law, out=out, **options),
 )

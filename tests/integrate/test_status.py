@@ -173,3 +173,5 @@ def test_require_ok_allows_what_is_allowed():
     assert ck.require_ok(made, allow=S.NEAR_SINGULAR | S.AT_LIMIT) is made
     with pytest.raises(StepError, match=r"Step 2 .* AT_LIMIT"):
         ck.require_ok(made, allow=S.NEAR_SINGULAR)
+    with pytest.raises(ck.ArgumentError, match="`allow` must be a Status, but is list"):
+        ck.require_ok(made, allow=["NEAR_SINGULAR"])
