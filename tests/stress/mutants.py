@@ -51,7 +51,7 @@ def other(node, draw):
             return draw.choice((ast.BoolOp(ast.And() if isinstance(op, ast.Or) else ast.Or(), values), *values))
         case ast.Constant(bool(value)):
             return ast.Constant(not value)
-        case ast.Constant(int(value) | float(value)):
+        case ast.Constant(int(value) | float(value)) if not 0 < value < 1e-4:  # that is for rounding
             return ast.Constant(value + 1 if value in (0, 1) else value * 2)
         case ast.Attribute(value, name, context) if name in SWAPPED:
             return ast.Attribute(value, SWAPPED[name], context)
