@@ -51,7 +51,7 @@ class Diagnosis:
         scale a gain, so factor is what the present one is to be multiplied by.
       angle: of frames that are turned against each other [degrees]: turn the error by −angle, about the note's axis.
       confidence: that cause and gain are right, 0 to 1; without alpha at most 0.8.
-      fitted: (N, k) path and oscillation, NaN in rows that were not read. note: further remarks.
+      fitted: (N, k) path and oscillation, NaN without one and in rows that were not read. note: further remarks.
     """
 
     kind: str
@@ -95,13 +95,12 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
     scaled = loop.prepared(y_)
     read = loop.read(scaled) if scaled.shape[1] else None
     fields = _seen(scaled, read, y_, Ts, alpha)
-    first, last = (0, len(y)) if read is None else (read.first, read.last)
-    t, basis = np.arange(last - first), loop.path_basis(last - first, fields.get("period", np.inf))
-    if read is not None and "period" in fields:
-        swing = np.exp(read.mode * (t - t[-1] * (read.mode.real > 0)))
-        basis = np.column_stack([basis, swing.real, swing.imag])
     fitted = np.full(y.shape, np.nan)
-    fitted[first:last] = y[first:last] - loop.free(basis, y[first:last])
+    if read is not None and "period" in fields:
+        rows, t = y[read.first : read.last], np.arange(read.last - read.first)
+        swing = np.exp(read.mode * (t - t[-1] * (read.mode.real > 0)))
+        basis = np.column_stack([loop.path_basis(len(t), read.period), swing.real, swing.imag])
+        fitted[read.first : read.last] = rows - loop.free(basis, rows)
     return Diagnosis(Ts=Ts, fitted=fitted, **fields)
 
 

@@ -10,17 +10,18 @@ _DOTS = {"color": "0.55", "markersize": 3.5, "markerfacecolor": "white", "marker
 
 
 def oscillation(signal, found, names):
-    """The recording and the fitted motion; a panel for each column.
+    """The recording and the oscillation in it, if there is one; a panel for each column.
 
     Args:
       signal: (N, k). found: `Diagnosis` of it. names: of the columns.
     """
-    shown = np.sort(np.argsort(-np.nanstd(found.fitted, axis=0), kind="stable")[:MOST])
+    shown = np.sort(np.argsort(-np.std(signal, axis=0), kind="stable")[:MOST])
     figure, panels = _panels(len(shown))
     t = found.Ts * np.arange(len(signal))
     for panel, i in zip(panels, shown, strict=True):
         panel.plot(t, signal[:, i], "o", **_DOTS, label="recorded")
-        panel.plot(t, found.fitted[:, i], color=style.BLUE, label="fitted")
+        if found.period is not None:
+            panel.plot(t, found.fitted[:, i], color=style.BLUE, label="fitted")
         panel.set_ylabel(f"{names[i]} [as recorded]")
     style.legend(figure, panels[0])
     return figure

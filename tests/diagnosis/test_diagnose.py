@@ -97,6 +97,7 @@ def test_turned_frames_are_named_with_their_angle(degrees, third):
     found = diagnose(y, TS, alpha=z / TS)
     assert found.cause == "turned frames" and found.angle == pytest.approx(degrees, abs=2), str(found)
     assert found.factor is None and f"{abs(found.angle):.3g}° against each other about z" in str(found)
+    assert np.isnan(found.fitted).all()
     e, noise = [0j] * 30 + [1 + 0j], 3e-3 * np.random.default_rng(1).standard_normal((331, 2)) @ [1, 1j]
     for k in range(30, 330):  # pushed; its 6 samples of dead time turn it further, by 5 to 14°
         e.append(e[k] - 0.04 * np.exp(1j * turn) * (e[k - 6] + noise[k - 6]))
