@@ -78,6 +78,7 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     """
     import numpy as np
 
+    from cnclik.diagnosis.recording import LARGEST
     from cnclik.problem.tables import read_columns
 
     names, table = read_columns("LOG", log)
@@ -87,7 +88,10 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     table *= sizes
     if Ts is not None:
         errors.number("Ts", Ts, positive=True)
-    t, times, unit = clock(names, table, Ts)
+    with np.errstate(all="ignore"):
+        t, times, unit = clock(names, table, Ts)
+    if t is not None and (rows := np.flatnonzero(np.abs(t) > LARGEST)).size:
+        raise errors.fail("LOG", f"hold times up to {LARGEST:g}", f"has a larger one in row {rows[0] + 1}")
     if t is None and Ts is None:
         raise errors.fail("Ts", "be given where no column is called t, time or stamp", "is not")
     stamps = f"{names[times[0]] if times else '--Ts'}, read in {unit}" if Ts is None else "--Ts"

@@ -64,6 +64,10 @@ def test_Ts_goes_before_stamps_and_stamps_of_recorders_are_read(log, tmp_path, c
     ):
         (tmp_path / "other.csv").write_text("".join(lines))
         assert f"({told})" in answer(capsys, tmp_path / "other.csv", "--Ts", Ts)
+    (tmp_path / "other.csv").write_text("".join([*rows, "9" * 400, rows[-1][rows[-1].index(",") :]]))
+    with pytest.raises(SystemExit):
+        answer(capsys, tmp_path / "other.csv", "--Ts", "2ms")
+    assert "`LOG` must hold times up to 1e+30, but has a larger one in row 201" in capsys.readouterr().err
     rng, k = np.random.default_rng(0), np.arange(200)
     stamps, q = 1.7e18 + 2e6 * k + 4e5 * rng.standard_normal(200), 1 + 0.1 * loop(0.3, 4, 200)
     rows = [f"{s:.0f},{v:.9g},3,base_link,{i}" for s, v, i in zip(stamps, q, k, strict=True)]
