@@ -29,7 +29,8 @@ def few_bits(x):
 # Operations by the kinds of their arguments and result: f real, i whole, b truth.
 SIMPLE = {
     "fff": (
-        *(jnp.maximum, jnp.minimum, jnp.fmod, jnp.copysign, lambda a, b: a * 0 - b, lambda a, b: -(a - b)),
+        *(jnp.maximum, jnp.minimum, jnp.fmod, lambda a, b: a * 0 - b, lambda a, b: -(a - b)),
+        lambda a, b: jnp.copysign(a, jnp.where(b == b, b, 0)),  # a NaN has any sign
         *(lambda a, b: 2 * a + b * 0.5, lambda a, b: 0 - b, lambda a, b: few_bits(a + b)),
         *(lambda a, b: few_bits(a - b), lambda a, b: few_bits(a * b)),
         lambda a, b: few_bits(a / jnp.where(b > 0, 2.0, -4.0).astype(a.dtype)),
