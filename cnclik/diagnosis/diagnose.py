@@ -115,7 +115,7 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     soon = 4 * np.argmax(x < 0.5) < len(x)  # else it has not come to rest
     settled = soon and len(x) > tail and np.std(x[-tail:]) < SETTLED and np.min(x) > -PASSED
     circle = read is not None and loop.on_a_circle(y[read.first : read.last], read.mode)
-    spiral = loop.turned(y, alpha and alpha * Ts, circle=circle) if scaled.shape == y.shape else None
+    spiral = loop.turned(y, alpha and alpha * Ts, circle) if scaled.shape == y.shape else None
     turn, z, steady = spiral or (np.zeros(3), 0, 0)
     main = int(np.argmax(np.abs(turn)))
     angle = float(np.copysign(np.linalg.norm(turn), turn[main]))

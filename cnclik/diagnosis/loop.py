@@ -35,7 +35,6 @@ GIVEN, SELDOM = 0.15, 0.03  # relative deviation of the loop's gain from a known
 TAIL, MIDDLE = 0.1, 0.6  # share of the likely drives beyond each end; where between the ends' shares that chosen is
 LEFT = 0.1  # share of the power of the motion that turned frames leave unexplained, at most
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
-CLEARER = 0.3  # decrease of it per row, where coordinates with drives of their own look alike
 ALIKE = 60.0  # of the criterion, within which another dead time explains a spiral as well
 STEADY = 1.1  # ratio of the sizes in the last thirds of a circle, at most; the first one may be a push
 CIRCLE = 0.33  # |Σv²| over Σ|v|² of an ellipse of ratio 0.7; those of arms whose joints differ have 0.49 at least
@@ -263,12 +262,13 @@ def drives_of(read, mode, Ts, alpha, *, clipped) -> tuple:
     return middle, tuple(both), float(gain[places[0]]), gain.min(), gain[ends].max(), np.exp(np.ptp(share[ends]))
 
 
-def turned(y, gain=None, *, circle=False) -> tuple | None:
+def turned(y, gain, circle) -> tuple | None:
     """The rotation R of Δe[k] = −z R e[k − d] (Kabsch 1976) of two or three coordinates, or of both halves of six.
 
     Returns its rotation vector (3,) [degrees], z per row, and whether its size stays as of a circle; None where a z of
-    any sign for each column explains the log as well. A spiral leaves d open, as a turn by the angle of d rows looks
-    alike: of those that explain it as well that is taken whose z is next to a known gain, or else the least d.
+    any sign for each column explains the log as well, unless the columns swing on a circle. A spiral leaves d open, as
+    a turn by the angle of d rows looks alike: of those that explain it as well that is taken whose z is next to a known
+    gain, or else the least d.
     """
     from scipy.spatial.transform import Rotation
 
@@ -299,7 +299,7 @@ def turned(y, gain=None, *, circle=False) -> tuple | None:
             spins.append((score + np.log(N) * 4, d, z / m, u @ vt, np.sum(rests[1] ** 2) / np.sum(left**2)))
     least = min((spin[0] for spin in spins), default=0.0)
     alike = [spin for spin in spins if spin[0] <= least + ALIKE]
-    if not alike or alike[0][4] > LEFT or not (circle or plain - alike[0][0] > max(BETTER, CLEARER * N)):
+    if not alike or alike[0][4] > LEFT or not (circle or plain - alike[0][0] > BETTER):
         return None
     best = alike[0] if gain is None else min(alike, key=lambda spin: abs(np.log(spin[2] / gain)))
     turn = np.eye(3)
