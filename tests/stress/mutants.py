@@ -120,10 +120,11 @@ def met() -> list:
 
 def likely(file, line, rows) -> tuple[list, list]:
     """The tests that run a line, and their files, the cheapest first: a test may find traced what one before it ran."""
-    cases = []
+    cases, every = [], ast.walk(ast.parse((ROOT / file).read_text(encoding="utf-8")))
+    first = max(s.lineno for s in every if isinstance(s, ast.stmt) and s.lineno <= line <= s.end_lineno)  # of its own
     for path, seconds, coverage in rows:
         contexts = coverage.contexts_by_lineno(str(ROOT / file))
-        names = next(filter(None, (contexts.get(k) for k in range(line, line - 9, -1))), ())  # of a statement's first
+        names = {name for k in range(first, line + 1) for name in contexts.get(k, ())}
         if names:
             own = [name.rpartition(".")[2] for name in names if not name.startswith("jax.")]  # it has a test_event
             tests = sorted({f"{path}::{name}" for name in own if name}) or [str(path)]
