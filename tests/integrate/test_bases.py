@@ -12,6 +12,7 @@ import scipy.integrate
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
+from cnclik.robot.chart import rates
 from cnclik.robot.rotations import exp_so3
 from tests.integrate.test_exponential import by_steps
 from tests.integrate.test_orders import ORDERS
@@ -128,6 +129,12 @@ def test_rest_is_judged_in_the_chart():
     """Breaks for a loop that is differentiated by the rotation vector: R(z) is then another in each posture."""
     law = ck.Law(ROBOT, ck.orientation(tip="hand"), alpha=4.0)
     assert ck.stability.spectral_radius(law, None, start(), 0.1, "EE") == pytest.approx(0.6, abs=1e-12)
+    ((_, i),), w = ROBOT.balls, np.array([0.3, -0.5, 0.7])
+    for angle, near in ((1.1, 1e-14), (3.1, 2e-7)):  # dexp⁻¹ in closed form
+        d, once = np.array([0.6, 0.0, 0.8]) * angle, np.cross(np.array([0.6, 0.0, 0.8]) * angle, w)
+        wanted = w + once / 2 + (1 - angle / 2 / np.tan(angle / 2)) / angle**2 * np.cross(d, once)
+        y, qdot = (np.pad(v, (i, ROBOT.n - i - 3)) for v in (d, w))
+        np.testing.assert_allclose(rates(ROBOT, jnp.array(y), jnp.array(qdot))[i : i + 3], wanted, rtol=0, atol=near)
 
 
 def test_what_a_free_base_has_not_is_one_line():

@@ -184,6 +184,8 @@ def test_a_mimic_joint_shares_the_coordinate_and_limits_of_its_leader():
     assert arm.joint_names == ("j1", "j3")
     assert [(j.coordinate, j.multiplier, j.offset) for j in arm.joints] == [(0, 1, 0), (0, -2, 0.5), (1, 1, 0)]
     assert (arm.lower[0], arm.upper[0], arm.velocity_limit[0]) == (-1.0, 1.0, 2.0)
+    wide = ck.load_urdf(robot(body.replace('lower="-1" upper="1"', 'lower="-1e16" upper="1e16"')))  # stands for none
+    assert (wide.lower[0], wide.upper[0]) == (-np.inf, np.inf)
 
 
 SPLIT = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c") + joint("j3", "b", "d")
