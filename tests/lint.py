@@ -6,6 +6,7 @@ line for each fault.
 
 import ast
 import functools
+import graphlib
 import pathlib
 import re
 import sys
@@ -55,6 +56,12 @@ def imports(path):
             yield from ((node.lineno, a.name, "") for a in node.names if a.name.split(".")[0] == "cnclik")
 
 
+def module(name):
+    """The file of `cnclik.x.y`, or None where that is a room or a name."""
+    path = PACKAGE.joinpath(*name.split(".")[1:]).with_suffix(".py")
+    return path if path.exists() else None
+
+
 # --- code: each yields (path, line, what is wrong) -----------------------------------------------------
 
 
@@ -70,6 +77,18 @@ def order():
                 yield path, line, "imports the package's front door"
             elif ORDER[other] > ORDER[own]:
                 yield path, line, f"imports {other}, which stands on {own}"
+
+
+def circles():
+    """Those inside functions counted."""
+    graph = {}
+    for path in files():
+        targets = [module(f"{source}.{name}") or module(source) for _, source, name in imports(path)]
+        graph[path] = {target for target in targets if target}
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        yield error.args[1][0], 1, " imports ".join(path.stem for path in error.args[1])
 
 
 def private():
@@ -124,7 +143,7 @@ def strings():
             yield from ((path, node.lineno, fault) for fault in faults(value) if not listed)
 
 
-CHECKS = (order, private, pages, strings)
+CHECKS = (order, circles, private, pages, strings)
 
 
 def main():

@@ -97,9 +97,8 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
     fields = _seen(scaled, read, y_, Ts, alpha)
     fitted = np.full(y.shape, np.nan)
     if read is not None and "period" in fields:
-        rows, t = y[read.first : read.last], np.arange(read.last - read.first)
-        swing = np.exp(read.mode * (t - t[-1] * (read.mode.real > 0)))
-        basis = np.column_stack([loop.path_basis(len(t), read.period), swing.real, swing.imag])
+        rows = y[read.first : read.last]
+        basis = np.column_stack([loop.path_basis(len(rows), read.period), loop.wave(len(rows), read.mode)])
         fitted[read.first : read.last] = rows - loop.free(basis, rows)
     return Diagnosis(Ts=Ts, fitted=fitted, **fields)
 
@@ -115,12 +114,12 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     soon = 4 * np.argmax(x < 0.5) < len(x)  # else it has not come to rest
     settled = soon and len(x) > tail and np.std(x[-tail:]) < SETTLED and np.min(x) > -PASSED
     circle = read is not None and loop.on_a_circle(y[read.first : read.last], read.mode)
-    spiral = loop.turned(y, alpha and alpha * Ts, circle) if scaled.shape == y.shape else None
-    turn, z, steady = spiral or (np.zeros(3), 0, 0)
+    looked = not settled and scaled.shape == y.shape
+    turn, z, steady = (loop.turned(y, alpha and alpha * Ts, circle) if looked else None) or (np.zeros(3), 0, 0)
     main = int(np.argmax(np.abs(turn)))
     angle = float(np.copysign(np.linalg.norm(turn), turn[main]))
     along = abs(turn[main]) > 0.99 * abs(angle)
-    if not settled and abs(angle) > TURNED and (abs(angle) < HALF or along):
+    if abs(angle) > TURNED and (abs(angle) < HALF or along):
         if steady if alpha is None else not SAME[0] < z / (alpha * Ts) < SAME[1]:
             return {"kind": UNDECIDED, "note": UNFINISHED}  # as on a circular path
         axis = "xyz"[main] if along else np.round(turn / angle, 2)

@@ -332,13 +332,18 @@ def growth(y) -> float:
     return rate if (steps[3] > FASTER * steps[2] and grown[2] > 0.5) or np.all(np.abs(grown[1:] - 1) < EVEN) else 0.0
 
 
+def wave(N, mode):
+    """(N, 2) the swing of a mode s [1/row], as a cosine and a sine; the largest is about 1."""
+    swing = np.exp(mode * (np.arange(N) - (N - 1) * (mode.real > 0)))
+    return np.stack([swing.real, swing.imag], 1)
+
+
 def on_a_circle(y, mode) -> bool:
     """Whether a mode s [1/row] is most of what columns y (N, k) show, for a turn at least, one after the other.
 
     Their complex amplitudes v have |Σv²| = Σ|v|² where they swing at once, as after a push, and Σv² = 0 on a circle.
     """
-    y, wave = main_parts(y), np.exp(mode * (np.arange(len(y)) - len(y) * (mode.real > 0)))
-    basis = np.stack([np.ones(len(y)), wave.real, wave.imag], 1)
+    y, basis = main_parts(y), np.column_stack([np.ones(len(y)), wave(len(y), mode)])
     amplitude = np.linalg.lstsq(basis, y, rcond=None)[0]
     v, left = amplitude[1] - 1j * amplitude[2], y - basis @ amplitude
     most = np.sum(left**2) < LEFT * np.sum((y - y.mean(0)) ** 2)

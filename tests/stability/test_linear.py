@@ -111,6 +111,7 @@ def test_a_search_finds_the_first_place():
 test_bad_input_is_named = refusals(
     (lambda: amplification("EEE", 1.0), "`method` must be one of"),
     (lambda: amplification("EE", np.nan), "`z` must be a finite number"),
+    (lambda: amplification("EE", "1"), "`z` must be a finite number"),
     (lambda: amplification("EE", [True]), "`z` must be a finite number"),
     (lambda: amplification("IE", 1.0, -1), "`M` must be at least 0"),
     (lambda: amplification("IE", 1.0, 2.5), "`M` must be an integer"),
