@@ -116,9 +116,10 @@ def aloud(value: float, unit: str) -> str:
     return f"{value:.3g} {unit}" if value else "zero"
 
 
-def plainly(value: float) -> str:
+def plainly(value: float, digits=3) -> str:
     """A number as "1.67" or "1,670": up to a million without a power of ten."""
-    return f"{float(f'{value:.3g}'):,.0f}" if 1000 <= value < 1e6 else f"{value:.3g}"
+    said = f"{value:.{digits}g}"
+    return f"{float(said):,.0f}" if 1000 <= float(said) < 1e6 else said
 
 
 def in_samples(samples: float, Ts: float) -> str:

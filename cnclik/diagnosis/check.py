@@ -9,6 +9,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.diagnosis.recording import columns, missing, spacing
+from cnclik.quantities import plainly
 from cnclik.record import ArrayLike, Float, record
 
 if typing.TYPE_CHECKING:
@@ -77,14 +78,14 @@ class LogCheck:
     def __str__(self):
         table = [("", "column", "largest", "at", "limit", "of limit", "noise alone")]
         for each in self.findings:
-            numbers = ["" if v is None else f"{v:.4g}" for v in (each.limit, each.share, each.noise)]
-            table.append((each.what, each.column, f"{each.value:.4g} {each.unit}", f"{each.at:.4g} s", *numbers))
+            numbers = ["" if v is None else plainly(v, 4) for v in (each.limit, each.share, each.noise)]
+            table.append((each.what, each.column, f"{plainly(each.value, 4)} {each.unit}", f"{each.at:.7g} s", *numbers))
         width = [max(map(len, cells)) for cells in zip(*table, strict=True)]
         form = f"{{:{width[0]}}}  {{:{width[1]}}}" + "".join(f"  {{:>{wide}}}" for wide in width[2:])
         said = "No limits are given." if all(each.limit is None for each in self.findings) else "No limit is broken."
         if self.broken:
             worst = max(self.broken, key=lambda each: each.share)
-            said = f"Broken limits: {len(self.broken)}. The worst: {worst.what} of {worst.column} at {worst.at:.4g} s."
+            said = f"Broken limits: {len(self.broken)}. The worst: {worst.what} of {worst.column} at {worst.at:.7g} s."
         return "\n".join([*(form.format(*cells).rstrip() for cells in table), said])
 
 

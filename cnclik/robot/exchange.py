@@ -14,6 +14,7 @@ from cnclik import errors
 from cnclik.record import ArrayLike, Float
 from cnclik.robot.chain import Chain
 
+_MODEL = "be a pinocchio.Model or a mujoco.MjModel"
 _TURNS = ("rx", "ry", "rz")
 _KINDS = {  # coordinates of a joint, how many of them are a position, how many numbers a model has for the rest
     "free": (("x", "y", "z", *_TURNS), 3, 4),
@@ -35,6 +36,7 @@ def to_model_q(robot: Chain, model: Any, q: Float[ArrayLike, "... n"], qdot: Any
       qdot: (..., n) velocities, or None.
     Returns: q, or where velocities are given (q, v).
     """
+    errors.kind("model", getattr(model, "nq", model), int, _MODEL)
     shape, q, rates = _rows("q", errors.kind("robot", robot, Chain).n, q, "qdot", robot.n, qdot)
     followers = [joint for joint in robot.joints if joint.follower]
     nothing = np.zeros((len(q), 1))  # the last column, of joints that the robot has not
@@ -60,6 +62,7 @@ def from_model_q(robot: Chain, model: Any, q: Float[ArrayLike, "... nq"], v: Any
     Returns: q, or where velocities v (..., nv) are given (q, qdot).
     """
     errors.kind("robot", robot, Chain)
+    errors.kind("model", getattr(model, "nq", model), int, _MODEL)
     shape, q, v_rows = _rows("q", model.nq, q, "v", model.nv, v)
     values, rates = np.zeros((2, len(q), robot.n + 1))
     for own, place, turn, velocity in _matched(robot, robot.joint_names, model):

@@ -187,6 +187,8 @@ test_what_cannot_be_meant_is_refused = refusals(
     (lambda: ck.from_model_q(*humanoid(), np.zeros(13)), "`q` must hold a quaternion for each free"),
     (lambda: ck.to_model_q(*humanoid(MIXED), np.zeros(8)), "`model` must have .* but has no root_x, .* knee"),
     (lambda: ck.to_model_q(*humanoid(), np.zeros(8), np.zeros(4)), "`qdot` must have 8 numbers, but has 4"),
+    (lambda: ck.to_model_q(ck.planar_arm([1.0]), {}, [0.0]), "`model` must be a pinocchio.Model or .*, but is dict"),
+    (lambda: ck.from_model_q(ck.planar_arm([1.0]), None, [0.0]), "`model` must be a pinoc.* but is NoneType"),
     (lambda: ck.load("panda_mjcf"), "`robot` must be a URDF or MJCF file, panda, ur5, planar:1,1,1 or a name of"),
     (lambda: ck.load("panda", tip="hand"), "`tip` must be left out for the robot 'panda', but is 'hand'"),
 )
