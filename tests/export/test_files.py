@@ -50,7 +50,7 @@ def folders(tmp_path_factory):
     """Exports of every kind."""
     at, way = tmp_path_factory.mktemp("exports"), ck.waypoints([0.0, 0.5, 1.0], [[1.0, 1.0], [1.2, 1.0], [1.0, 1.3]])
     every = {
-        "flat": dict(law=a_law(ck.position()), method="EE"),
+        "flat": dict(law=a_law(ck.position()), method="CN"),
         "path": dict(method="TRAPEZOID", stage=ck.chord(2), reference=way),
         "single": dict(method="EXP-MIDPOINT", dtype="float32"),
         "slides": dict(law=a_law(ck.position("xz"), chain=SLIDES, limits=ck.bounded(walls=[FLOOR])), method="EE"),
