@@ -78,8 +78,9 @@ class LogCheck:
     def __str__(self):
         table = [("", "column", "largest", "at", "limit", "of limit", "noise alone")]
         for each in self.findings:
-            numbers = ["" if v is None else plainly(v, 4) for v in (each.limit, each.share, each.noise)]
-            table.append((each.what, each.column, f"{plainly(each.value, 4)} {each.unit}", f"{each.at:.7g} s", *numbers))
+            numbers = (each.value, each.limit, each.share, each.noise)
+            size, *rest = ("" if v is None else plainly(v, 4) for v in numbers)
+            table.append((each.what, each.column, f"{size} {each.unit}", f"{each.at:.7g} s", *rest))
         width = [max(map(len, cells)) for cells in zip(*table, strict=True)]
         form = f"{{:{width[0]}}}  {{:{width[1]}}}" + "".join(f"  {{:>{wide}}}" for wide in width[2:])
         said = "No limits are given." if all(each.limit is None for each in self.findings) else "No limit is broken."
