@@ -84,6 +84,13 @@ def test_a_batch_is_numpys_one_by_one(m):
                 close(value, expected, rtol=1e-9, atol=1e-12)
 
 
+def test_right_sides_of_one_matrix_in_nested_batches():
+    a, _, _ = systems(4, 1)
+    b = np.random.default_rng(0).normal(size=(2, 3, 4, 5))  # columns in batches of batches
+    found = jax.jit(jax.vmap(jax.vmap(lambda b: dense.cholesky_solve(dense.cholesky(a[0]), b))))(b)
+    close(found, np.linalg.solve(a, b), rtol=1e-9, atol=1e-12)
+
+
 def test_what_is_not_positive_has_no_factor():
     a = np.stack([np.eye(3), np.diag([1.0, -1.0, 1.0])])
     for found in (jax.vmap(dense.cholesky)(a), jnp.stack([dense.cholesky(one) for one in a])):

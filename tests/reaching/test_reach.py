@@ -109,7 +109,9 @@ def test_targets_that_are_not_finite():
     made = ck.reach(WRIST, targets)
     assert made.status[[3, 4]].tolist() == [ReachStatus.NON_FINITE] * 2 and np.isnan(made.q[[3, 4]]).all()
     assert made.solved.sum() == 8
-    assert ck.reach(WRIST, targets[3]).status == ReachStatus.NON_FINITE
+    turn = np.full((3, 3), np.nan)
+    for target in (targets[3], (np.ones(3), turn)):
+        assert ck.reach(WRIST, target).status == ReachStatus.NON_FINITE
     target = tips(ARM, np.array([[0.95, 0.5]]))[0, :3, 3]
     for some in (target, np.stack([target] * 12)):
         assert np.all(ck.reach(ARM, some, task=PLANE, near=[np.nan, 0.5]).status == ReachStatus.NON_FINITE)
@@ -226,6 +228,7 @@ def test_derivative_of_a_task_that_leaves_part_of_the_turn_free():
         return refined(WRIST, task, target, near, np.zeros(6, bool), True)
 
     slope = jax.jit(lambda along: jax.jvp(moved, (jnp.zeros(3),), (along,))[1])(jnp.eye(3)[0])
+    np.testing.assert_allclose(moved(0.01), near, atol=1e-15)  # it stays where it is
     aim = at.position + np.array([h, 0, 0]), rotation
     again = ck.reach(WRIST, aim, task=task, near=near + h * slope, tolerance=(1e-13, 1e-13))
     assert again.distance < 1e-8
