@@ -50,10 +50,11 @@ class Model:
 
 @record
 class Frames:
-    """A tip's pose, and for each joint its axis and a point on it, in the base frame."""
+    """A tip's pose, and for each joint its frame, its axis there, and a point on it in the base frame."""
 
     position: Float[Array, " 3"]  # [m]
     rotation: Float[Array, "3 3"]
+    joints: Float[Array, "j 4 4"]
     axes: Float[Array, "j 3"]
     points: Float[Array, "j 3"]  # [m]
     support: Float[np.ndarray, " j"] | None = None  # 1 for the joints that move the tip, else 0; None if all do
@@ -98,24 +99,18 @@ def frames(chain: Model, q, tip: int) -> Frames:
     return tip_frames(*moved(chain, q), tip)
 
 
-def moved(chain: Model, q) -> tuple[Model, AnyArray, AnyArray]:
-    """Return the chain as constants, its joints' frames and their axes (..., j, 3) in the base frame."""
+def moved(chain: Model, q) -> tuple[Model, AnyArray]:
+    """Return the chain as constants, and its joints' frames."""
     chain = chain if library(q, *chain.tips) is np else of_the_model(chain)
-    at = joint_frames(chain, q)
-    return chain, at, _axes(chain, at)
+    return chain, joint_frames(chain, q)
 
 
-def _axes(chain, at):
-    return library(at, chain.axes).sum(at[..., :3, :3] * chain.axes[:, None, :], axis=-1)
-
-
-def tip_frames(chain: Model, at, axes, tip: int) -> Frames:
+def tip_frames(chain: Model, at, tip: int) -> Frames:
     """Return the frames of a tip, from those of `moved`."""
     support = None if chain.supports is None else chain.supports[tip]
     end = product(at[..., chain.carriers[tip], :, :], chain.tips[tip])
-    return Frames(
-        position=end[..., :3, 3], rotation=end[..., :3, :3], axes=axes, points=at[..., :3, 3], support=support
-    )
+    place, turn, points = end[..., :3, 3], end[..., :3, :3], at[..., :3, 3]
+    return Frames(position=place, rotation=turn, joints=at, axes=chain.axes, points=points, support=support)
 
 
 def mass_frames(chain: Model, bodies: Float[Array, "j+1 4"], q) -> Frames:
@@ -138,7 +133,7 @@ def mass_frames(chain: Model, bodies: Float[Array, "j+1 4"], q) -> Frames:
     centers = carried[..., :3] / xp.where(share > 0, share, 1.0)[..., None]
     points = place[..., None, :] - centers + at[..., :3, 3]  # common centre − point = own centre − axis point
     turn = xp.broadcast_to(xp.eye(3, dtype=place.dtype), (*place.shape, 3))
-    return Frames(position=place, rotation=turn, axes=_axes(chain, at), points=points, support=share)
+    return Frames(position=place, rotation=turn, joints=at, axes=chain.axes, points=points, support=share)
 
 
 def jacobian_at(chain: Model, at: Frames):
@@ -146,11 +141,12 @@ def jacobian_at(chain: Model, at: Frames):
 
     A revolute joint moves the tip by a × (p − pᵢ) and turns it by a; a prismatic one moves it by a.
     """
-    xp = library(at.axes, at.points)
-    velocity, spin = xp.cross(at.axes, at.position[..., None, :] - at.points), at.axes
+    xp = library(at.joints, at.axes)
+    axes = xp.sum(at.joints[..., :3, :3] * at.axes[:, None, :], axis=-1)
+    velocity, spin = xp.cross(axes, at.position[..., None, :] - at.points), axes
     if chain.turning is not None:
         turning = chain.turning[:, None]
-        velocity, spin = xp.where(turning, velocity, at.axes), xp.where(turning, spin, 0.0)
+        velocity, spin = xp.where(turning, velocity, axes), xp.where(turning, spin, 0.0)
     if at.support is not None:
         velocity, spin = at.support[..., None] * velocity, at.support[..., None] * spin
     rows = xp.swapaxes(xp.concatenate([velocity, spin], axis=-1), -1, -2)

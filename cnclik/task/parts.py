@@ -44,7 +44,7 @@ class At:
         self.chain, self.q, self._frames, self._rows = chain, q, {}, {}
 
     @functools.cached_property
-    def _moved(self) -> tuple[Model, Any, Any]:
+    def _moved(self) -> tuple[Model, Any]:
         return moved(self.chain, self.q)
 
     def frames(self, tip) -> Frames:
