@@ -39,7 +39,7 @@ class Drive:
         its unit, as in 34ms; in Python it is a known number, never traced.
       measurement_delay: delay of the measurement [whole samples], at least 0. Measurements are time-stamped: the error
         fed back is that at the time of the measurement. For stability both delays add up.
-      lag: time constant of a first-order drive [s], one number or one per joint.
+      lag: time constant of a first-order drive [s], one number or one per joint; 0 for none (positions: not of some).
       natural_frequency: natural frequency ω₀ of a second-order drive [rad/s], positive, in place of a lag. It is
         √(k_p/m) of a position servo. One number or one per joint.
       damping_ratio: damping ratio ζ of a second-order drive, positive; k_v/(2 m ω₀) of a position servo. Default: 1.
@@ -85,8 +85,9 @@ class Drive:
             must = "come with command position and a lag or servo where it is rebased: velocities begin nowhere else"
             raise errors.fail("feedback", must, f"comes with command {self.command}, order {self.order}")
         for name in ["lag"] * lag + ["natural_frequency", "damping_ratio"] * servo:
-            size, shapes = {"positive": True, "at_least": 1 / LARGEST, "most": LARGEST}, ((), (None,), (None, 1))
-            checked[name] = errors.array(name, getattr(self, name), *shapes, **size)
+            nothing = lag and self.command == "velocity"  # of positions a lag makes steps of lines
+            size = {"at_least": 0} if nothing else {"positive": True, "at_least": 1 / LARGEST}
+            checked[name] = errors.array(name, getattr(self, name), (), (None,), (None, 1), **size, most=LARGEST)
         if not _none(self.smoothing):
             if self.cutoff is not None:
                 must = "be left out where there is a smoothing: a filter has one of both"
@@ -233,7 +234,7 @@ def _continuous(drive, Ts, xp):
     G's own states are y = 1/(lag s + 1) u, or ẏ₀ = ω₀ y₁, ẏ₁ = ω₀ (u − y₀) − 2ζω₀ y₁, which are well scaled.
     """
     if drive.order == 1:
-        rate = xp.minimum(1.0 / xp.asarray(drive.lag), FASTEST / Ts)
+        rate = 1.0 / xp.maximum(xp.asarray(drive.lag), Ts / FASTEST)
         rows, force = [[-rate]], [rate]
     else:
         w, zeta = xp.broadcast_arrays(xp.asarray(drive.natural_frequency), xp.asarray(drive.damping_ratio))
