@@ -194,6 +194,13 @@ def test_places_that_each_lane_has_for_itself():
     check(lambda x, k: (fn(x, k), beyond(x, 4 * k)), x, k)
 
 
+@pytest.mark.parametrize("dtype", [*WHOLE, "bool"])
+def test_whole_numbers_beyond_an_array_are_the_least_or_largest(dtype):
+    rng = np.random.default_rng(6)
+    x, k = rng.integers(0, 2, (SIZE, 4)).astype(dtype), rng.integers(-9, 9, (SIZE, 2)).astype(np.int32)
+    check(jnp.take, x, k)
+
+
 def test_places_in_sorted_numbers_have_nan_last():
     x = np.broadcast_to([-np.inf, 1.0, 3.0, np.inf, np.nan, np.nan], (6, 6))
     v = np.array([np.nan, np.inf, 2.0, 9.0, -np.inf, -0.0])

@@ -181,6 +181,7 @@ test_what_cannot_be_meant_is_refused = refusals(
     (lambda: ck.load_mjcf(HUMANOID, tip="sole", base="free"), "`base` must be left out .* joint 'root' already"),
     (lambda: ck.load_mjcf("<mujoco><world/></mujoco>"), "`model` must be one that MuJoCo reads, but it finds: "),
     (lambda: read_robot("<mujoco><world/></mujoco>"), "`robot` must be one that MuJoCo reads, but it finds: "),
+    (lambda: read_robot({}), "`robot` must name a URDF file, but is dict"),
     (lambda: ck.load_mjcf("nowhere.xml"), "`model` must name an MJCF file"),
     (lambda: ck.load_mjcf(3), "`model` must name an MJCF file, but is int"),
     (lambda: ck.load_mjcf(HUMANOID, tip="sole", base="floating"), "`base` must be fixed, planar, free or one of "),
