@@ -170,7 +170,7 @@ def _gather(g, eqn, x, places):
         shape = out.shape
     for _, coords, inside in _windows(g, shape, x.shape, places, *of):
         cell = _taken(g, x, coords, _type(places))
-        made.append(cell if inside is None else g.select(inside, cell, _fill(g, p["fill_value"], cell.dtype)))
+        made.append(cell if inside is None else g.select(inside, cell, g.const(p["fill_value"], cell.dtype)))
     return [Rows(array_of(made, out.shape[1:]), out.shape[0]) if whole else array_of(made, out.shape)]
 
 
@@ -178,13 +178,6 @@ def _keeps_rows(x, places, mapped, hidden, window, shape) -> bool:
     """Whether entries of rows at known places, such as x[:, (0, 2)], are rows of the same length."""
     inner = isinstance(x, Rows) and 0 not in (*mapped, *hidden) and window[:1] == (0,)
     return inner and shape[0] == x.length and all(place.known for place in places.flat)
-
-
-def _fill(g, value, dtype):
-    if value is None:
-        limits = {"f": lambda: np.nan, "i": lambda: np.iinfo(dtype).min, "u": lambda: np.iinfo(dtype).max}
-        value = limits.get(dtype.kind, lambda: True)()
-    return g.const(value, dtype)
 
 
 def _scatter(combine):
