@@ -21,7 +21,7 @@ TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which th
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
 SIZES = (0.85, 1.7)  # ratio of the sizes in the two halves of its energy of what neither decays nor grows
 TURNED, HALF = 27.0, 179.0  # [degrees]: by less no error passes its target by 0.2 %; or a sign, about an oblique axis
-SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
+SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one; of a growth's, the least
 STEADY, RESTLESS, HELD = 0.1, 0.35, 2.0  # unrest of what lasts, of noise (0.52 by Rayleigh); change in all periods
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
 WIDE = 6.0  # ratio of the shares of the gain that likely drives tolerate: then the slower overshoot 10 %
@@ -128,7 +128,7 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
         return dict(kind="spiral", cause="turned frames", angle=angle, confidence=sure, note=note)
     if circle:
         return {"kind": CALM, "note": DECAYS} if settled else {"kind": UNDECIDED, "note": CIRCLES}
-    if rate := loop.growth(scaled):
+    if rate := loop.growth(scaled, SAME[0] * (alpha or 0.0) * Ts):
         note = WRONG_SIGN.format(rate)
         return dict(kind="growth without oscillation", cause="wrong sign", growth=rate, confidence=sure, note=note)
     sways = read is not None and read.evidence > KNOWN and np.isfinite(read.period) and read.swings > SURELY

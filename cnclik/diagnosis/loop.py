@@ -310,14 +310,16 @@ def turned(y, gain, circle) -> tuple | None:
     return Rotation.from_matrix(turn).as_rotvec(degrees=True), best[2], steady
 
 
-def growth(y) -> float:
-    """Growth per row without oscillation of y (N, k); 0 for none."""
-    N, near = len(y), max(len(y) // 10, 2)
-    way = y[-near:].mean(0) - y[int(0.6 * N) - near // 2 : int(0.6 * N) + near].mean(0)
-    m = max(1, N // PARTS)
-    if N // m < 16 or not way.any():
+def growth(y, least=0.0) -> float:
+    """Growth per row without oscillation of a column of y (N, k), the fastest, by a z of at least `least`; 0 for none."""
+    return max(_growth(x, least) for x in y.T)
+
+
+def _growth(x, least) -> float:
+    N, m = len(x), max(1, len(x) // PARTS)
+    if N // m < 16:
         return 0.0
-    x = y @ way / np.linalg.norm(way)
+    x = x * np.sign(x[-1] - x[N // 2])
     at, near = np.linspace(0, N - 1, 5).astype(int), max(N // 40, 1)
     steps = np.diff([x[max(i - near, 0) : i + near + 1].mean() for i in at])
     half = x[N // 2 :: max(N // 24, 1)]
@@ -326,6 +328,8 @@ def growth(y) -> float:
     loops, none = fits(averaged(x[:, None] - x[0], m), np.inf)
     wrong, right = loops[:, loops[2] < 0], loops[:, loops[2] > 0]
     if min(none, right[3].min(initial=np.inf)) - wrong[3].min(initial=np.inf) < BETTER / 2:
+        return 0.0
+    if -wrong[2, wrong[3] <= wrong[3].min() + AS_WELL].min() < least * m:  # dead time is open where all grows alike
         return 0.0
     rate = float(abs(slowest(*wrong[:3, np.argmin(wrong[3])])) ** (1 / m))
     grown = np.diff(np.log(np.maximum(steps, 1e-3 * steps[3]))) / (N / 4 * np.log(rate))  # over what the mode grows
