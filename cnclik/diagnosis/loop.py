@@ -311,7 +311,7 @@ def turned(y, gain, circle) -> tuple | None:
 
 
 def growth(y, least=0.0) -> float:
-    """Growth per row without oscillation of a column of y (N, k), the fastest, by a z of at least `least`; 0 for none."""
+    """Growth per row without oscillation of the fastest column of y (N, k), by a z of at least `least`; 0 for none."""
     return max(_growth(x, least) for x in y.T)
 
 
