@@ -85,7 +85,9 @@ def test_growth_without_swinging_is_a_wrong_sign(growth, noise):
     other = np.stack([loop(0.1, 1, 120), loop(-0.05, 2, 120)], 1)  # the sign of one column alone
     assert diagnose(other, TS, alpha=0.05 / TS).cause == "wrong sign"
     other = np.stack([0.34 * loop(0.03, 1, 200), 0.9 * loop(-0.01, 2, 200)], 1)
-    assert diagnose(other, TS).cause != "turned frames"  # by 164°
+    found = diagnose(other, TS)  # nor are the frames turned, by 164°
+    assert found.cause == "wrong sign" and found.growth == pytest.approx(1.0098, abs=2e-4)
+    assert diagnose(other, TS, alpha=0.2 / TS).cause is None  # with that gain it would grow faster
 
 
 @pytest.mark.parametrize(("degrees", "third"), [(-150, True), (-90, False), (-55, True), (52, False), (115, False)])
