@@ -20,6 +20,7 @@ from cnclik.robot.model import Pose
 from cnclik.robot.rotations import exp_so3, log_so3, quaternion_from_rotation, rotation_from_quaternion
 
 A_REFERENCE = "be a Reference such as hold(...), or references(name=...) for several"
+_JOINTS = " (joint values are given by hold(values=...))"
 Target = poses.PoseLike | None  # see `hold`
 Rotation = Float[Array, "3 3"] | None
 
@@ -167,7 +168,11 @@ def hold(
         if target is not None or rotation is not None:
             raise errors.fail("values", "be left out where a `target` or `rotation` is given", "is given")
         return Reference(curve=Hold(position=errors.array("values", values, (None,)), rotation=None))
-    target, rotation = _split("target", target, rotation)
+    try:
+        target, rotation = _split("target", target, rotation)
+    except errors.ArgumentError as error:  # seven numbers may be joint values
+        must = "`target` must hold a unit quaternion w x y z"
+        raise errors.ArgumentError(str(error).replace(must, must + _JOINTS)) from None
     if target is None and rotation is None:
         raise errors.fail("target", "be a position or come with a `rotation`", "is None")
     return Reference(curve=Hold(position=target, rotation=rotation))
@@ -356,8 +361,7 @@ def _split(name, target, rotation, called="rotation") -> tuple[Float[Array, " d"
     if target is not None:
         target = errors.array(name, target, (None,))
         if not 1 <= len(target) <= 3:
-            joints = " (joint values are given by hold(values=...))" * (name == "target")
-            raise errors.fail(name, f"have 1 to 3 coordinates{joints}", f"has {len(target)}")
+            raise errors.fail(name, f"have 1 to 3 coordinates{_JOINTS * (name == 'target')}", f"has {len(target)}")
     return target, _rotation(called, rotation)
 
 
