@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import cnclik as ck
 from cnclik.record import stack
 from cnclik.robot.chain import assemble
-from cnclik.robot.posture import start_posture
+from cnclik.robot.posture import arm_length, start_posture
 from tests.bank import screws
 from tests.oracles import close, dh_product, planar_jacobian, planar_position, product_of_exponentials, transform
 from tests.refusals import refusals
@@ -133,6 +133,24 @@ def test_a_start_is_within_limits_of_every_kind(lower, upper):
 
 
 PANDA = ck.panda()
+
+
+def test_start_postures_stay_what_pages_and_results_begin_at():
+    known = {
+        (PANDA, ck.pose()): [0.0, 0.0, 0.0, -1.5708, 0.0, 1.8675, 0.0],
+        (ck.ur5(), ck.pose()): [1.27591, 0.915156, -1.553167, -0.269059, 1.245593, -0.492557],
+        (ck.planar_arm([1.0, 0.8]), ck.position("xy")): [-1.057578, 1.565391],
+    }
+    for (arm, task), q in known.items():
+        close(start_posture(arm, task), np.array(q), atol=1e-6)
+
+
+def test_the_length_of_an_arm_is_known_or_traced():
+    for lengths in ([1.0, 0.8], [2e-4, 1e-4]):
+        for length in (arm_length(ck.planar_arm(lengths)), jax.jit(lambda v: arm_length(ck.planar_arm(v)))(lengths)):
+            assert length == pytest.approx(max(sum(lengths), 1e-3))
+    both = ck.join(ck.planar_arm([0.3]), ck.planar_arm([1.0, 0.8]), prefix="upper_", keep=True)
+    assert arm_length(both) == pytest.approx(2.1) and arm_length(both, number=0) == pytest.approx(0.3)
 
 
 def test_public_functions_under_jit_and_vmap():
