@@ -81,6 +81,19 @@ def _slope(law, reference, q):
     return evaluate(modelled(law), reference, jnp.zeros(()), q).qdot
 
 
+@pytest.mark.parametrize("stage", [ck.chord(20), ck.newton(8)])
+def test_with_a_joint_at_its_limit_derivatives_are_of_the_others(stage):
+    """At z = 2, where Picard's iteration diverges and one with derivatives of no joint, or of all, too."""
+    limits = dict(lower=(-3.0, -3.0, -3.0), upper=(3.0, 0.75, 3.0), velocity_limit=(20.0, 20.0, 20.0))
+    arm, start = ck.replace(ck.planar_arm([0.8, 0.6, 0.4]), **limits), [0.3, 0.74, 0.6]
+    goal = np.asarray(ck.forward(arm, [0.4, 1.1, 0.9]).position)[:2]
+    law = ck.Law(arm, ck.position("xy"), alpha=40.0, inverse=ck.damped(0.02), limits=ck.bounded(5.0))
+    run, wild = (ck.solve(law, ck.hold(goal), start, 0.05, 4, "IE", s) for s in (stage, ck.picard(8)))
+    assert set(run.status.tolist()) == {int(ck.Status.AT_LIMIT)} and run.residual.max() < 1e-10
+    np.testing.assert_allclose(0.75 - run.q[1:, 1], 0.8 * (0.75 - run.q[:-1, 1]), atol=1e-9)  # the rate leaves 1/1.25
+    assert wild.residual.min() > 1
+
+
 @pytest.mark.parametrize(("stage", "tolerance"), [(ck.chord(12), 1e-6), (ck.newton(6), 1e-11)])
 def test_implicit_euler_end_point_is_the_root_scipy_finds(stage, tolerance):
     one = law(1.5)
