@@ -171,8 +171,8 @@ def hold(
     try:
         target, rotation = _split("target", target, rotation)
     except errors.ArgumentError as error:  # seven numbers may be joint values
-        must = "`target` must hold a unit quaternion w x y z"
-        raise errors.ArgumentError(str(error).replace(must, must + _JOINTS)) from None
+        joints = _JOINTS * (rotation is None and "quaternion w x y z" in str(error))
+        raise errors.ArgumentError(f"{str(error).removesuffix('.')}{joints}.") from None
     if target is None and rotation is None:
         raise errors.fail("target", "be a position or come with a `rotation`", "is None")
     return Reference(curve=Hold(position=target, rotation=rotation))

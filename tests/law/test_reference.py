@@ -181,7 +181,7 @@ test_bad_input = refusals(
     (lambda: ck.check_log(None, np.ones(9), Ts=0.1, limits=np.ones(2)), "`limits` must be a dict"),
     (lambda: ck.hold(None), "`target` must be a position or come with a `rotation`"),
     (lambda: ck.hold([1, 2, 3, 1, 0, 0, 0], TURN), "`rotation` must be left out where `target` is a whole pose"),
-    (lambda: ck.hold([0.3] * 7), r"quaternion w x y z \(joint values are given by hold\(values=...\)\), but has"),
+    (lambda: ck.hold([0.3] * 7), r"has one of norm 0.6 \(joint values are given by hold\(values=...\)\)\."),
     (lambda: ck.hold([1, 2, 3, 4]), r"1 to 3 coordinates \(joint values are given by hold\(values=...\)\), but has 4"),
     (lambda: ck.hold([np.nan, 0]), r"`target` must be finite, but is nan at index \(0,\)\."),
     (lambda: ck.hold([0.0, 0, 0], np.diag([1, 1, -1])), "`rotation` must hold a rotation, .* mirrored"),

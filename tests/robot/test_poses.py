@@ -81,8 +81,8 @@ WRONG = {
     "mirrored": (MIRRORED, "must hold a rotation, .* but is mirrored"),
     "sheared": (SHEARED, "must hold a rotation, .* but is off by"),
     "a scaled Pose": (ck.Pose(position=P, rotation=2 * R), "must hold a rotation, .* but is off by 3"),
-    "quaternion": ([*P, *(185 * W)], "must hold a unit quaternion w x y z.*, but has one of norm 185"),
-    "no quaternion": ([*P, 0, 0, 0, 0], "must hold a unit quaternion w x y z.*, but has one of norm 0"),
+    "quaternion": ([*P, *(185 * W)], "must hold a unit quaternion w x y z, but has one of norm 185"),
+    "no quaternion": ([*P, 0, 0, 0, 0], "must hold a unit quaternion w x y z, but has one of norm 0"),
 }  # fmt: skip
 
 
