@@ -114,7 +114,7 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     soon = 4 * np.argmax(x < 0.5) < len(x)  # else it has not come to rest
     settled = soon and len(x) > tail and np.std(x[-tail:]) < SETTLED and np.min(x) > -PASSED
     circle = read is not None and loop.on_a_circle(y[read.first : read.last], read.mode)
-    looked = not settled and scaled.shape == y.shape
+    looked = scaled.shape == y.shape and (not settled or (circle and alpha is not None))
     turn, z, steady = (loop.turned(y, alpha and alpha * Ts, circle) if looked else None) or (np.zeros(3), 0, 0)
     main = int(np.argmax(np.abs(turn)))
     angle = float(np.copysign(np.linalg.norm(turn), turn[main]))

@@ -354,9 +354,9 @@ def is_logarithmic(values, layout) -> bool:
 
 
 def described(coordinate) -> str:
-    """Return a single coordinate in words: "CN", "α = 5 1/s"."""
+    """Return a single coordinate in words: "CN", "α = 5 1/s"; of a label that is a number, too."""
     value = coordinate.values.item()
-    if isinstance(value, str):
+    if isinstance(value, str) and not set(value) <= set("0123456789.-e"):
         return value
     return f"{_name(coordinate).partition(' = ')[0]} = {text(value)} {unit_of(coordinate)}".strip()
 

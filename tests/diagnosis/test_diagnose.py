@@ -132,6 +132,8 @@ def test_nothing_is_found_where_there_is_nothing(name):
     found = diagnose(CALM[name], TS)
     assert found.drive is None and found.cause is found.confidence is found.recommended_alpha is None, str(found)
     assert found.note and str(found).startswith(found.kind)
+    if name == "frames turned by 40°":  # at the rate of a known gain no path turns
+        assert diagnose(CALM[name], TS, alpha=0.15 / TS).angle == pytest.approx(np.degrees(0.7), abs=0.1)
 
 
 @pytest.mark.parametrize("alpha", [10.0, 25.0, 37.0])

@@ -93,6 +93,9 @@ def test_selections_and_middles():
     shown = view(found, arrange(found, {"kind": "slices", "x": "Ts", "select": {"alpha": 4.9}}))
     assert float(shown.alpha) == found.alpha.values[np.argmin(abs(found.alpha.values - 4.9))]
     assert drawn(found, {"kind": "slices", "x": "Ts"}).get_suptitle() == "α = 7.479 1/s"  # the middle of twelve
+    found = data(arm=["5dof", "2.0"], **PLANE, limit=False)
+    title = drawn(found, {"kind": "heat", "panels": "method", "select": {"arm": "2.0"}}).get_suptitle()
+    assert title == "arm = 2.0" and sweeps.described(found.arm[0]) == "5dof"
 
 
 test_figures_that_cannot_be = refusals(
