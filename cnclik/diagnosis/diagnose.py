@@ -110,9 +110,11 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     sure = UNKNOWN if alpha is None else SURE
     tail, x = max(len(scaled) // 5, 8), loop.main_parts(scaled)[:, 0]
     x = x - np.median(x[-tail:])
-    x = x[(push := int(np.argmax(np.abs(x)))) :] / (x[push] or 1.0)
+    drift = np.polyfit(np.arange(tail), x[-tail:], 1)[0] * (np.arange(-len(x), 0) + (tail + 1) / 2)
+    push = int(np.argmax(np.abs(x)))
+    x, still = (part[push:] / (x[push] or 1.0) for part in (x, x - drift))  # either may hide that it passes its end
     soon = 4 * np.argmax(x < 0.5) < len(x)  # else it has not come to rest
-    settled = soon and len(x) > tail and np.std(x[-tail:]) < SETTLED and np.min(x) > -PASSED
+    settled = soon and len(x) > tail and np.std(x[-tail:]) < SETTLED and min(*x, *still) > -PASSED
     circle = read is not None and loop.on_a_circle(y[read.first : read.last], read.mode)
     looked = scaled.shape == y.shape and (not settled or (circle and alpha is not None))
     turn, z, steady = (loop.turned(y, alpha and alpha * Ts, circle) if looked else None) or (np.zeros(3), 0, 0)

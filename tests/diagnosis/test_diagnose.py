@@ -127,6 +127,10 @@ CALM = {
 }
 
 
+def test_a_drift_does_not_hide_a_swing():
+    assert diagnose(0.5 * loop(0.13, 7, 425) - 1e-3 * np.arange(425), TS).cause == "dead time"
+
+
 @pytest.mark.parametrize("name", CALM)
 def test_nothing_is_found_where_there_is_nothing(name):
     found = diagnose(CALM[name], TS)
