@@ -179,9 +179,5 @@ def programs(chain, task, path=False) -> Batches:
     fn, args = (along, of_path) if path else (attempt, of_try)
     leaves, tree = jax.tree.flatten(args)
     avals = [jax.ShapeDtypeStruct(np.shape(v), np.asarray(v).dtype) for v in leaves]
-
-    def flat(*args):
-        return fn(chain, task, *tree.unflatten(args))
-
     key = f"_{fn.__name__}_{told_apart(task)}_{task.weights is None}_{in_c()}"
-    return memoized(chain, key, lambda _: Batches(flat, avals, single=path))
+    return memoized(chain, key, lambda _: Batches(lambda *v: fn(chain, task, *tree.unflatten(v)), avals, single=path))
