@@ -82,7 +82,7 @@ class State(NamedTuple):
 
 @precise
 def look(chain, task: Task, q, target):
-    """Return the error (m,), J (m, n), and the squared errors of position and orientation, the largest of all tips.
+    """Return the error (m,), the robot there, and the squared errors of position and orientation of each tip.
 
     Args: target: (t,) twelve numbers of each of the task's aims [m].
     """
@@ -94,13 +94,14 @@ def look(chain, task: Task, q, target):
         kinds = [[e @ e for e, part in zip(own, aim.parts, strict=True) if part.turns == turns] for turns in (0, 1)]
         each += own
         squares.append(jnp.stack([sum(some, 0.0 * q[0]) for some in kinds]))
-    return jnp.concatenate(each), rows(task, at), functools.reduce(jnp.maximum, squares)
+    return jnp.concatenate(each), at, squares
 
 
 @precise
 def _step(chain, task, terms: Terms, s: State, target, bounds, careful) -> State:
     """Look at `q` and step from there; a descent that has arrived does not move."""
-    e, j, squares = look(chain, task, s.q, target)
+    e, at, squares = look(chain, task, s.q, target)
+    j, squares = rows(task, at), functools.reduce(jnp.maximum, squares)
     if task.weights is not None or unit_of(chain) != 1.0:
         e, j = terms.roots * e, terms.roots[:, None] * j
     cost, size, (low, high) = e @ e, jnp.sum(j**2), bounds
