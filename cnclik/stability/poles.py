@@ -84,7 +84,7 @@ class ScalarLoop:
 
     def unit_gain(self, zeta):
         """Return ℓ(ζ) with 1 + s ℓ(ζ) = 0 at all poles."""
-        none, unit = self.loop_gain(zeta, 0.0), self.loop_gain(zeta, 1.0)
+        none, unit = self.loop_gain(zeta, np.reshape([0.0, 1.0], (2, *[1] * np.ndim(zeta))))
         return (unit - none) / (1.0 + none)
 
     def _transfer(self, zeta):
