@@ -8,13 +8,11 @@ import pytest
 import cnclik as ck
 from cnclik import ReachStatus
 from cnclik.reaching import search
-from cnclik.reaching.starts import spans, starts_of
+from cnclik.reaching.starts import spans
 from cnclik.reaching.targets import wanted_at
-from cnclik.robot.model import modelled
-from cnclik.task.parts import At
 from tests import bank
 from tests.oracles import ARMS, robots
-from tests.reaching.test_reach import drawn, tips
+from tests.reaching.test_reach import assert_ordered, drawn, tips
 from tests.robot.test_urdf import Pinocchio, oracle
 
 
@@ -71,18 +69,13 @@ def arm_of(name):
 
 
 @pytest.mark.parametrize("name", ["Panda", "UR5"])
-def test_near_is_where_the_search_begins_and_not_where_it_ends(name):
-    assert wrong(arm_of(name), 150) == {}
-
-
-@pytest.mark.parametrize("name", ["Panda", "UR5"])
-def test_every_answer_is_one(name):
+def test_every_answer_is_one_and_near_is_not_where_the_search_ends(name):
     """By Pinocchio's forward kinematics, and within the limits."""
     (file, tip, base), chain = ARMS[name], arm_of(name)
+    assert wrong(chain, 100) == {}
     model, _ = oracle(robots() / file)
-    other = Pinocchio(robots() / file, model)
-    tip, base = tip or "tool0", base or model.frames[1].name
-    targets = tips(chain, drawn(chain, 120))
+    other, base = Pinocchio(robots() / file, model), base or model.frames[1].name
+    targets = tips(chain, drawn(chain, 60))
     made = ck.reach(chain, targets)
     assert made.solved.all()
     assert (made.q >= np.array(chain.lower)).all() and (made.q <= np.array(chain.upper)).all()
@@ -118,7 +111,7 @@ def sized(size):
 
 @pytest.mark.parametrize("size", [1e-4, 1e4])
 def test_arms_of_any_size(size):
-    assert wrong(sized(size), 100) == {}
+    assert wrong(sized(size), 60) == {}
 
 
 @functools.cache
@@ -145,7 +138,7 @@ def at_limits(chain, count):
 def test_an_answer_with_several_joints_at_their_limits_is_found(kind, monkeypatch):
     """It has hardly any posture about it from which a search within the limits arrives."""
     chain = cornered(kind)
-    q = at_limits(chain, 500)
+    q = at_limits(chain, 300)
 
     def right(made):
         known = np.isin(made.status, [ReachStatus.SOLVED, ReachStatus.OUT_OF_BUDGET])
@@ -163,7 +156,7 @@ def test_an_answer_with_several_joints_at_their_limits_is_found(kind, monkeypatc
     alone = [ck.reach(chain, target).status for target in tips(chain, q[:4])]
     assert np.isin(alone, [ReachStatus.SOLVED, ReachStatus.OUT_OF_BUDGET]).all()
     monkeypatch.setattr(search, "TRIES", search.TRIES // 8)  # most tries begin where that is likely
-    assert np.sum(~ck.reach(chain, tips(chain, q), tolerance=(9e-7, 1e-6)).solved) <= 10  # by a search of its own
+    assert np.sum(~ck.reach(chain, tips(chain, q), tolerance=(9e-7, 1e-6)).solved) <= 6  # by a search of its own
 
 
 def test_an_answer_with_all_joints_at_limits_is_found_from_beyond_them():
@@ -200,7 +193,7 @@ def bordering(size, count):
 @pytest.mark.parametrize("size", [1e-4, 1e4])
 def test_on_the_border_only_what_is_known_is_said(size):
     """By the law of cosines. Searches end there at errors of a billionth of the arm's length: those are near misses."""
-    arm, where, beyond, inside = bordering(size, 40)
+    arm, where, beyond, inside = bordering(size, 20)
     options = {"task": ck.position("xy")}
     for tolerance in (1e-6, 1e-11 * size, 1e-13 * size):
         for jump in ({}, {"near": [-2.5, -1.0], "jump": 0.05}):
@@ -253,28 +246,13 @@ def test_starts_cover_the_limits_and_one_turn_of_a_wide_joint():
     np.testing.assert_allclose(high, [2, pi, 1 + 2 * pi, -2, 1, 5 + 2 * pi, pi])
 
 
-def following():
-    """A planar arm of three joints, of which the second one follows the first one at half its speed."""
-    arm, free = ck.planar_arm([1.0, 0.8, 0.5]), ck.planar_arm([1.0, 1.0])
-    first, second, third = arm.joints
-    joints = first, ck.replace(second, coordinate=0, multiplier=0.5, offset=0.3), ck.replace(third, coordinate=1)
-    return ck.replace(free, joints=joints, tips=arm.tips)
-
-
 AXES = [[0, 0, 1], [1, 0, 0], [0, 1, 0], [1, 0, 0]]
 SLIDING = bank.screws(np.outer(np.arange(4), [1.0, 0.2, 0.0]), AXES, [4.0, 0.0, 1.0], kinds="RPRR")
 
 
-@pytest.mark.parametrize(
-    ("chain", "tip", "to"),
-    [(SLIDING, None, None), (following(), None, None), (bank.robot("two arms"), "two_tip", "one_tip")],
-    ids=["sliding", "following", "seen from another"],
-)
-def test_starts_in_one_bin_lead_to_the_same_place(chain, tip, to):
-    postures = starts_of(chain, ck.position(tip=tip, relative_to=to).on(chain)).postures.astype(float)
-    some = postures[1 << 16 :][: 1 << 12], postures[:: 1 << 12]  # one after the other, and from everywhere
-    near, far = (np.diff(At(modelled(chain), q).position(tip, to), axis=0) for q in some)
-    assert np.median(np.linalg.norm(near, axis=1)) < 0.1 * np.median(np.linalg.norm(far, axis=1))
+def test_starts_in_one_bin_lead_to_the_same_place():
+    assert_ordered(SLIDING)
+    assert_ordered(bank.robot("two arms"), "two_tip", "one_tip")
 
 
 def test_where_a_path_is_has_its_coordinates_in_the_order_of_space():

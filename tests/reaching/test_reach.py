@@ -9,21 +9,16 @@ from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik import ReachStatus
-from cnclik.reaching.starts import spans
+from cnclik.reaching.starts import spans, starts_of
 from cnclik.reaching.traced import refined
 from cnclik.robot.model import modelled
 from cnclik.robot.poses import quaternions
 from cnclik.task.parts import At
 from tests.refusals import refusals
 
-WRIST = ck.from_dh(
-    [0.0, 0.4, 0.0, 0.0, 0.0, 0.0],
-    [np.pi / 2, 0.0, np.pi / 2, -np.pi / 2, np.pi / 2, 0.0],
-    [0.3, 0.0, 0.0, 0.35, 0.0, 0.1],
-    lower=[-2.5] * 6,
-    upper=[2.5] * 6,
-)
-SHORT = ck.from_dh([0.0, 0.4, 0.0, 0.0, 0.0], [np.pi / 2, 0.0, np.pi / 2, -np.pi / 2, 0.3], [0.3, 0.0, 0.0, 0.35, 0.1])
+TWIST = [np.pi / 2, 0.0, np.pi / 2, -np.pi / 2, np.pi / 2, 0.0]
+WRIST = ck.from_dh([0, 0.4, 0, 0, 0, 0], TWIST, [0.3, 0, 0, 0.35, 0, 0.1], lower=[-2.5] * 6, upper=[2.5] * 6)
+SHORT = ck.from_dh([0, 0.4, 0, 0, 0], [*TWIST[:4], 0.3], [0.3, 0, 0, 0.35, 0.1])
 ARM = ck.planar_arm([1.0, 1.0])
 HELD = ck.replace(ARM, lower=(-0.5, 0.2), upper=(0.5, 1.0))
 PLANE = ck.position("xy")
@@ -34,6 +29,14 @@ def tips(chain, q):
     at, made = At(modelled(chain), np.asarray(q, float)), np.tile(np.eye(4), (len(q), 1, 1))
     made[:, :3, 3], made[:, :3, :3] = at.position(None), at.rotation(None)
     return made
+
+
+def assert_ordered(chain, tip=None, to=None):
+    """Starts one after the other lead to about the same place, those farther apart do not."""
+    postures = starts_of(chain, ck.position(tip=tip, relative_to=to).on(chain)).postures.astype(float)
+    some = postures[1 << 16 :][: 1 << 12], postures[:: 1 << 12]
+    near, far = (np.diff(At(modelled(chain), q).position(tip, to), axis=0) for q in some)
+    assert np.median(np.linalg.norm(near, axis=1)) < 0.1 * np.median(np.linalg.norm(far, axis=1))
 
 
 def drawn(chain, count, seed=0):
@@ -108,6 +111,7 @@ def test_a_joint_that_a_slower_one_follows_is_not_turned_back(tmp_path):
     (tmp_path / "m.urdf").write_text(MIMIC)
     arm = ck.with_tool(ck.load_urdf(tmp_path / "m.urdf"), [1.0, 0.0, 0.0])
     assert arm.periodic == (False, True)
+    assert_ordered(arm)
     targets = tips(arm, np.random.default_rng(0).uniform(-6, 6, (40, 2)))
     for some in (targets, targets[:5]):
         made = ck.reach(arm, some[:, :3, 3], task=PLANE)
@@ -120,14 +124,11 @@ def test_a_joint_that_a_slower_one_follows_is_not_turned_back(tmp_path):
 
 def test_near_beyond_the_limits_is_no_way_around_a_jump():
     """And where all answers are beyond the limits `jump` does not hide that."""
-    for q, near, status in (
-        ([0.45, 0.5], [0.9, 0.5], ReachStatus.JUMP),
-        ([0.2, 2.5], [0.1, 0.3], ReachStatus.AT_LIMIT),
-    ):
+    for q, near, name in (([0.45, 0.5], [0.9, 0.5], "JUMP"), ([0.2, 2.5], [0.1, 0.3], "AT_LIMIT")):
         target = tips(ARM, np.array([q]))[0, :3, 3]
         for some in (target, np.stack([target] * 12)):
             made = ck.reach(HELD, some, task=PLANE, near=near, jump=0.1)
-            assert np.all(made.status == status) and np.isnan(made.q).all() == (status == ReachStatus.JUMP)
+            assert np.all(made.status == ReachStatus[name]) and np.isnan(made.q).all() == (name == "JUMP")
 
 
 @pytest.mark.filterwarnings("error")
