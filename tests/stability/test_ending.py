@@ -173,7 +173,7 @@ def test_a_gain_above_the_largest_stable_one_is_said_of_a_calm_run():
 
 
 def test_runs_of_others_are_refused():
-    law, run = planar(5.0), ck.solve(planar(5.0), NEAR, Q5, 0.1, 20)
+    law, run = planar(5.0), ck.solve(planar(5.0), NEAR, Q5, 0.02, 400)
     with pytest.raises(ArgumentError, match="`run` must be a Trajectory of this law"):
         verdict(ck.Law(THREE, XY, alpha=5.0), ck.hold(P3), run)
     with pytest.raises(ArgumentError, match="`noise` must be at least 0, but is -1"):
