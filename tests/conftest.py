@@ -19,7 +19,7 @@ os.environ.setdefault(
     "--xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
     + " --xla_cpu_use_fusion_emitters=false" * importlib.metadata.version("jaxlib").startswith("0.10."),
 )
-# The same of C (the last optimisation of a line counts): less than half the time of -O2; and in the folders LONG, where
+# The same of C (the last optimisation of a line counts): less than half the time of -O2; and where LONG says that
 # runs are long, -Og, which takes two thirds. (Clang's -Og is -O1.)
 os.environ.setdefault("CFLAGS", "-O0")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.path.join(tempfile.gettempdir(), f"cnclik-tests-{os.getuid()}"))
@@ -35,7 +35,7 @@ from cnclik.cache import give_back
 
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
-LONG = ("reaching", "tests", "stress")
+LONG = {"test_near", "test_search", "tests", "stress"}  # files and folders
 LONGEST = [
     *("combinations", "docs", "several", "near", "native", "reach", "programs", "primitives", "tune", "gradients"),
     *("bounded", "step", "ending", "cli_solve", "walls", "inverse", "files", "store", "gains", "cli", "bank", "bases"),
@@ -56,7 +56,7 @@ def _forget_programs(request):
     """A module's big programs are of no use to the next: without this a worker keeps gigabytes of them."""
     gc.freeze()  # each sweep collects: what was there before is not looked through again, a seventh of the time
     with pytest.MonkeyPatch.context() as patch:
-        if request.path.parent.name in LONG and os.environ["CFLAGS"] == "-O0":
+        if LONG & {request.path.stem, request.path.parent.name} and os.environ["CFLAGS"] == "-O0":
             patch.setenv("CFLAGS", "-Og")
         yield
     if _is_large():

@@ -330,7 +330,7 @@ def _recommended(log, kind, values, covs, gain) -> tuple:
 
     best, j = alpha(values), int(np.argmax(slow)) if np.ndim(slow) else 0  # the slowest joint decides
     one = values[j : j + 1]
-    slowest = alpha(one)
+    slowest = alpha(one) if len(values) > 1 else best
     slope = np.log([alpha(one + STEP * way) / slowest for way in np.eye(one.size)]) / STEP
     spread = np.sqrt(max(slope @ covs[j] @ slope, 0.0))
     if best < 1e-6 or spread > OPEN:

@@ -139,29 +139,30 @@ def period_of(y) -> float:
 def polynomials(lag, part):
     """(A, b) in powers of B of a velocity that follows with a lag [rows], after a part of a row of dead time."""
     late = np.array([1 - part, part]) if part else np.ones(1)
-    if not lag:
-        return np.array([1.0, -1.0]), late
-    a = np.exp(-1 / lag)
+    a = np.exp(-1 / lag) if lag else 0.0
     return np.array([1.0, -1 - a, a]), np.convolve([1 - lag * (1 - a), lag * (1 - a) - a], late)
+
+
+def filtered(rule, y):
+    """(N, k) each row of y with those before it, by the shares of a rule; SciPy's filters take a second to load."""
+    return np.stack([np.convolve(column, rule)[: len(y)] for column in y.T], 1)
 
 
 def fits(y, period):
     """({dead times, lags, z, scores} of all loops of the grid (4, n), score of no loop) of y (N, k)."""
-    from scipy.signal import lfilter
-
-    N, k = y.shape
+    (N, k), whole = y.shape, np.cumsum(y, axis=0)
     most = int(min(DEAD, N // 5, period / 3 + 3))
-    first = most + 4
-    rows, loops, none = N - first, [], np.inf
+    first, rows, loops, none = most + 4, N - most - 4, [], np.inf
     path = path_basis(rows, period)
     floor = (UNMODELLED**2 * np.var(np.diff(y, axis=0), axis=0) + 1e-12)[:, None]
     for lag, part in ((lag, part) for lag in LAGS for part in (0.0, 0.5)):
         A, b = polynomials(lag, part)
-        for C in ([1.0], [1.0, -1.0], A)[: 2 + (lag > 0)]:
-            start = [A[-1] ** np.arange(rows)] * (len(C) // 3)  # the time before the log decays as the lag
+        lagged = filtered(A[2] ** np.arange(40 * lag + 1), whole)
+        for C, rule, moved in ((1, A, y), (2, [1.0, -A[2]], whole), (3, [1.0], lagged))[: 2 + (lag > 0)]:
+            start = [A[2] ** np.arange(rows)] * (C // 3)  # the time before the log decays as the lag
             basis = np.pad(np.linalg.qr(np.column_stack([*start, path]))[0], ((0, 0), (1, 0)))  # 0: no path
             sizes = len(start) + np.array([size for size in PATHS if size <= path.shape[1]])
-            left, acts = lfilter(A, C, y, axis=0)[first:].T, lfilter(b, C, y, axis=0)
+            left, acts = filtered(rule, y)[first:].T, filtered(b, moved)
             on = left @ basis
             v0 = np.maximum((np.sum(left**2, 1)[:, None] - np.cumsum(on**2, -1)[:, sizes]) / rows, 0.0) + floor
             both, square = np.empty((2, most + 1, k, len(sizes)))
@@ -174,7 +175,7 @@ def fits(y, period):
             for _ in range(3):  # columns weigh by what is left of them
                 z = -np.sum(both / v, 1) / np.sum(square / v, 1)
                 v = np.maximum(v0 + z[:, None] * (2 * both + z[:, None] * square), floor)
-            numbers = np.log(rows) * ((lag > 0) + (len(C) > 1) + k * sizes)
+            numbers = np.log(rows) * ((lag > 0) + (C > 1) + k * sizes)
             score = rows * np.sum(np.log(v), 1) + numbers + np.log(rows)
             none = min(none, np.min(rows * np.sum(np.log(v0), 0) + numbers))
             d, best = np.arange(most + 1), np.argmin(score, 1)
@@ -185,8 +186,7 @@ def fits(y, period):
 def slowest(dead, lag, z) -> complex:
     """The largest factor of a loop per row, above the real axis."""
     A, b = polynomials(lag, dead % 1)
-    rule = np.zeros(max(len(A), 1 + int(dead) + len(b)))
-    rule[: len(A)] = A
+    rule = np.append(A, np.zeros(int(dead) + len(b)))
     rule[1 + int(dead) : 1 + int(dead) + len(b)] += z * b
     factors = np.roots(rule)
     factors = factors[factors.imag >= -1e-12]

@@ -7,6 +7,7 @@ and `lax.scan` work, to any order.
 """
 
 import functools
+import itertools
 from collections.abc import Callable
 
 import jax
@@ -99,6 +100,13 @@ class Function:
         """Return its trace for arguments of these avals. What is read already may be without its jaxpr."""
         return self.traces.made(key_of(avals), lambda _: _without_tracers(trace(self.fn, avals)))
 
+    def shapes(self, avals) -> list:
+        """Return the shapes of its results for arguments of these avals; a derivative has them without a trace."""
+        if self.of is None:
+            return self.trace(avals).shapes
+        of, by, real = self.of
+        return [*itertools.compress(of.shapes(avals[: -len(by)]), real)]
+
     def form(self, kind, avals, most):
         """Return its C for "lanes" or one "lane", or its "scalars" for JAX; or the reason why there is none.
 
@@ -140,14 +148,11 @@ class Function:
             of, by, real = self.of
             kept = iter(wanted)
             return of.jvp(by, tuple(r and next(kept) for r in real))
-        return self._derived(
-            wanted, lambda: Function(lambda *args: [x for x, w in zip(self.flat(*args), wanted, strict=True) if w])
-        )
+        return self._derived(wanted, lambda: Function(lambda *args: [*itertools.compress(self.flat(*args), wanted)]))
 
     def _derived(self, key, make):
-        if key not in self.derivatives:
-            self.derivatives[key] = make()
-        return self.derivatives[key]
+        self.derivatives[key] = found = self.derivatives.get(key) or make()
+        return found
 
 
 def _without_tracers(traced):
@@ -162,7 +167,7 @@ def _restricted(fn, by, real, args):
         full = list(args)
         for i, x in zip(by, some, strict=True):
             full[i] = x
-        return [x for x, wanted in zip(fn(*full), real, strict=True) if wanted]
+        return [*itertools.compress(fn(*full), real)]
 
     return of_some, [args[i] for i in by]
 
@@ -198,7 +203,7 @@ def _aval(shape, like):
 def _abstract(*avals, function, batched):
     lane, size = _lanes(avals, batched)
     shape = () if size is None else (size,)
-    return [jax.core.ShapedArray((*shape, *o.shape), o.dtype) for o in function.trace(lane).shapes]
+    return [jax.core.ShapedArray((*shape, *o.shape), o.dtype) for o in function.shapes(lane)]
 
 
 def _lowered(ctx, *args, function, batched, platform):

@@ -82,7 +82,7 @@ class State(NamedTuple):
 
 @precise
 def look(chain, task: Task, q, target):
-    """Return the error (m,), J (m, n), and the squared errors of position and orientation, the largest of all tips.
+    """Return the error (m,), the robot there, and the squared errors of position and orientation of each tip.
 
     Args: target: (t,) twelve numbers of each of the task's aims [m].
     """
@@ -94,13 +94,14 @@ def look(chain, task: Task, q, target):
         kinds = [[e @ e for e, part in zip(own, aim.parts, strict=True) if part.turns == turns] for turns in (0, 1)]
         each += own
         squares.append(jnp.stack([sum(some, 0.0 * q[0]) for some in kinds]))
-    return jnp.concatenate(each), rows(task, at), functools.reduce(jnp.maximum, squares)
+    return jnp.concatenate(each), at, squares
 
 
 @precise
 def _step(chain, task, terms: Terms, s: State, target, bounds, careful) -> State:
     """Look at `q` and step from there; a descent that has arrived does not move."""
-    e, j, squares = look(chain, task, s.q, target)
+    e, at, squares = look(chain, task, s.q, target)
+    j, squares = rows(task, at), functools.reduce(jnp.maximum, squares)
     if task.weights is not None or unit_of(chain) != 1.0:
         e, j = terms.roots * e, terms.roots[:, None] * j
     cost, size, (low, high) = e @ e, jnp.sum(j**2), bounds
@@ -177,11 +178,7 @@ def programs(chain, task, path=False) -> Batches:
     starts, terms = starts_of(chain, task), Terms._make((q, q, 0.0, np.zeros(2), np.zeros(task.m)))
     of_try, of_path = (starts, terms, target, q, q, 0.0, number, number), (terms, np.tile(target, (AHEAD, 1)), q)
     fn, args = (along, of_path) if path else (attempt, of_try)
-    leaves, tree = jax.tree.flatten(args)
+    (leaves, tree), made = jax.tree.flatten(args), jax.tree.unflatten
     avals = [jax.ShapeDtypeStruct(np.shape(v), np.asarray(v).dtype) for v in leaves]
-
-    def flat(*args):
-        return fn(chain, task, *tree.unflatten(args))
-
     key = f"_{fn.__name__}_{told_apart(task)}_{task.weights is None}_{in_c()}"
-    return memoized(chain, key, lambda _: Batches(flat, avals, single=path))
+    return memoized(chain, key, lambda _: Batches(lambda *v: fn(chain, task, *made(tree, v)), avals, single=path))

@@ -116,6 +116,5 @@ def from_rows(chain, task, rows) -> Reached:
     """Return the record of targets, or of solutions of each, from their rows (..., width)."""
     if isinstance(rows, np.ndarray):
         rows.flags.writeable = False
-    row = row_of(rows, chain.n)._asdict()
-    del row["cost"], row["steep"]
+    row = dict(zip(Row._fields[:-2], row_of(rows, chain.n), strict=False))  # cost and steep are the search's
     return Reached(chain=chain, task=task, **row | {"status": row["status"].astype(int)})

@@ -4,6 +4,7 @@ A start near the target helps most: of a Panda's first tries from the bins of 13
 postures 20 %. Of several tips each joint starts where it has that tip near which it moves, see `targets.owners`.
 """
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -13,13 +14,13 @@ import numpy as np
 
 from cnclik.record import memoized
 from cnclik.robot.chain import Chain
+from cnclik.robot.fixed import Offset, compose, dot, inverse, transpose
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import evenly
 from cnclik.robot.rotations import products_of_quaternion
-from cnclik.task.parts import At
 from cnclik.task.task import WIDTH, aims, owners, told_apart
 
-COUNT = 1 << 17  # postures
+COUNT, PART = 1 << 17, 1 << 12  # postures; so many at once
 PER_BIN, TURNS = 5, 3  # about so many of them in a bin; bins along a coordinate of a turn
 BINNED = 16  # tries from the target's bin, at most; others start anywhere
 STRETCHES = np.array([1.0, 4.0, 8.0, 4.0])  # of those: some have most joints, or all, at limits
@@ -71,19 +72,8 @@ def starts_of(chain, task) -> Starts:
 
 def _binned(chain, task) -> Starts:
     postures, _, lines = empty(chain, task)
-    own, first, ordered = owners(task, chain), [], np.empty_like(postures)
-    few = COUNT // 500
-
-    model = jax.tree.map(np.asarray, modelled(chain))  # NumPy answers sooner than XLA compiles
-
-    def poses(q):
-        at = At(model, q)
-        each = [(at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to)) for aim in aims(task)]
-        return [np.concatenate([place, turn.reshape(-1, 9)], -1) for place, turn in each]
-
-    parts = map(poses, np.split(postures.astype(float), 128))
-    each = [np.concatenate(pose) for pose in zip(*parts, strict=True)]
-    for k, (aim, pose) in enumerate(zip(aims(task), each, strict=True)):
+    own, first, ordered, few = owners(task, chain), [], np.empty_like(postures), COUNT // 500
+    for k, (aim, pose) in enumerate(zip(aims(task), _poses(chain, aims(task), postures), strict=True)):
         axes = list(aim.linear)
         ends = np.partition(pose[:, axes], [few, COUNT - few], axis=0)[[few, COUNT - few]]
         lines[k, :, : len(axes)] = ends[0], _shape(aim)[: len(axes)] / np.maximum(ends[1] - ends[0], 1e-12)
@@ -92,6 +82,27 @@ def _binned(chain, task) -> Starts:
         first.append(np.searchsorted(bins[order], np.arange(math.prod(_shape(aim)))))
         ordered[:, own == k] = postures[order][:, own == k]
     return Starts(ordered, np.concatenate(first).astype(np.int32), lines)
+
+
+def _poses(chain, every, postures):
+    """Return the poses (COUNT, 12) of each aim: number by number, so that zeros of the geometry cost nothing."""
+    model, tips = jax.tree.map(np.asarray, (modelled(chain), chain.tips))
+    columns = [v[:, :3].mT.tolist() for v in model.transforms if v is not None]
+    made = np.empty((len(every), WIDTH, COUNT))
+    for k in range(0, COUNT, PART):
+        q, at = postures[k : k + PART].astype(float), {-1: Offset()}
+        values = q if model.mimic is None else q @ model.mimic[0].T + model.mimic[1]
+        for i, (parent, *parts) in enumerate(zip(model.parents, *columns, strict=True)):
+            terms = 1.0, np.sin(values[:, i]), np.cos(values[:, i]), values[:, i]
+            *turn, place = ([dot(terms, v) for v in zip(*of, strict=True)] for of in zip(*parts, strict=True))
+            at[i] = compose(at[parent], Offset(position=tuple(place), rotation=transpose(turn)))
+        for aim, into in zip(every, made, strict=True):
+            numbers = map(chain.tip_number, (aim.tip, aim.to or aim.tip))
+            own, to = (compose(at[tips[n].joint], tips[n].offset) for n in numbers)
+            pose = compose(inverse(to), own) if aim.to else own
+            for row, value in zip(into, itertools.chain(pose.position, *pose.rotation), strict=True):
+                row[k : k + PART] = value
+    return made.mT
 
 
 def _shape(aim) -> list:
@@ -167,8 +178,7 @@ def beginnings(k, near, xp=np) -> tuple:
 
     The first ABOUT begin about `near` (..., n), if any, each one farther off than the one before.
     """
-    given = xp.nan if near is None else xp.where((k < ABOUT)[:, None], near[..., None, :], xp.nan)
-    return given, k / ABOUT
+    return xp.nan if near is None else xp.where((k < ABOUT)[:, None], near[..., None, :], xp.nan), k / ABOUT
 
 
 def origins(k, downhill, near, places, costs, xp=np) -> tuple:

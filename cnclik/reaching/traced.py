@@ -82,8 +82,7 @@ def refined(chain, task, target, q, held, found):
 
     Where there is no answer the derivative is 0.
     """
-    q, held = lax.stop_gradient((q, held))
-    held_chain, held_target = lax.stop_gradient((chain, target))
+    q, held, held_chain, held_target = lax.stop_gradient((q, held, chain, target))
     e, _, _ = look(chain, task, q, target)
     # not J: where a task leaves some axes of the turn free, what is left about these turns the others with it
     j = jnp.where(held, 0.0, -jax.jacfwd(lambda v: look(held_chain, task, v, held_target)[0])(q))

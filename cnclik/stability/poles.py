@@ -72,11 +72,8 @@ class ScalarLoop:
         """Return L(ζ) at points ζ (...) of the z-plane, opened at the drive's input: 1 + L(ζ) = 0 at all poles."""
         zeta = np.asarray(zeta, complex)
         motion, drive = self._transfer(zeta), self.drive
-        if drive.filters in ("error", "command"):
-            kept = drive.kept(self.Ts)
-            average = (1 - kept) / (1 - kept / zeta)
-        else:
-            average = 1.0
+        kept = drive.kept(self.Ts) if drive.filters in ("error", "command") else 0.0
+        average = (1 - kept) / (1 - kept / zeta)
         if drive.feedback == "rebased":
             through = motion * (average if drive.filters == "command" else 1.0)
             return (s * (average if drive.filters == "error" else 1.0) - 1.0) * through
@@ -84,7 +81,7 @@ class ScalarLoop:
 
     def unit_gain(self, zeta):
         """Return ℓ(ζ) with 1 + s ℓ(ζ) = 0 at all poles."""
-        none, unit = self.loop_gain(zeta, 0.0), self.loop_gain(zeta, 1.0)
+        none, unit = self.loop_gain(zeta, np.reshape([0.0, 1.0], (2, *[1] * np.ndim(zeta))))
         return (unit - none) / (1.0 + none)
 
     def _transfer(self, zeta):
@@ -143,9 +140,7 @@ def within(drive: Drive) -> Drive:
     """Return the drive as the loop sees it: a loop on its own commands sees a filter of the error only."""
     if drive.feedback != "commanded":
         return drive
-    if drive.filters != "error":
-        return Drive()
-    return Drive(smoothing=drive.smoothing, cutoff=drive.cutoff)
+    return Drive(smoothing=drive.smoothing, cutoff=drive.cutoff) if drive.filters == "error" else Drive()
 
 
 def frequencies():

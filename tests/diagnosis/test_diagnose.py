@@ -156,13 +156,13 @@ def test_a_circle_is_neither_an_oscillation_nor_a_spiral(alpha, d, turns):
         assert (found.confidence or 0) < 0.9 or (found.drive is not None and ends(found, alpha * Ts, d)), str(found)
 
 
-def test_what_is_said_is_right_in_the_simulated_loop(count=36):
+def test_what_is_said_is_right_in_the_simulated_loop(count=18):
     """Of nine kinds of logs; without alpha no confidence is above 0.8. Short logs do not grow."""
     told = [(log, found, right) for _, log, found, right in logs.answers(count, seed=1)]
     assert all((found.confidence or 0) <= 0.8 for log, found, _ in told if log.alpha is None)
     assert all(right for log, found, right in told if (found.confidence or 0.0) >= 0.9)
-    assert sum(log.truth != "calm" and not right for log, _, right in told) <= 3
-    assert sum(log.truth == "calm" and found.cause is not None for log, found, _ in told) <= 1
+    assert sum(log.truth != "calm" and not right for log, _, right in told) <= 1
+    assert not any(log.truth == "calm" and found.cause for log, found, _ in told)
     rng = np.random.default_rng(0)
     for N, d, share in zip(rng.integers(16, 25, 10), rng.integers(0, 9, 10), rng.uniform(0.1, 0.98, 10), strict=True):
         y = np.outer(loop(share * stable(d), int(d), N), rng.uniform(-0.1, 0.1, 2))

@@ -69,7 +69,7 @@ def complete(chain, targets, made):
 
 
 @pytest.mark.parametrize("limit", [np.pi, 2.5])
-def test_all_that_the_closed_form_knows(limit, count=150):
+def test_all_that_the_closed_form_knows(limit, count=75):
     chain = arm(limit)
     targets = tips(chain, np.random.default_rng(3).uniform(-limit, limit, (count, 6)))
     made = ck.reach(chain, targets, solutions=12)

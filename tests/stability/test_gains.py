@@ -68,8 +68,8 @@ def test_every_method_and_drive_has_the_limits_of_its_true_map(name):
         return plant.radius(S, [inside], Ts)
 
     for k, (method, M) in enumerate(CASES):
-        stable, smooth, _ = (min(share and gain_removing(share, method, M), 1e3) for share in shares)
-        if k % 6 == 0:
+        stable, smooth = (min(share and gain_removing(share, method, M), 1e3) for share in shares[:2])
+        if k % len(DRIVES) == list(DRIVES).index(name):
             own = ck.gains(Ts=Ts, drive=drive, method=method, M=M)
             assert min(own.largest_stable * Ts, 1e3) == pytest.approx(stable, rel=1e-12)
             assert min(own.without_overshoot * Ts, 1e3) == pytest.approx(smooth, rel=1e-12)
@@ -126,7 +126,7 @@ def test_a_response_is_that_of_a_run(smoothed):
 
 def test_no_more_than_one_per_cent_is_passed_without_overshoot():
     rng = np.random.default_rng(11)
-    for _ in range(20):
+    for _ in range(10):
         drive = Drive(
             delay=float(rng.integers(0, 5)), natural_frequency=float(10 ** rng.uniform(0.8, 2.2)),
             damping_ratio=float(rng.uniform(0.2, 1.5)), command=str(rng.choice(["velocity", "position"])),
@@ -188,7 +188,7 @@ def step_map(method, passes, M, z, Ts):
     return scipy.linalg.expm(-z * M) if method.startswith("EXP") else plant.march(method, passes, Ts, z / Ts * M)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 def test_no_random_loop_is_unstable_below_the_scalar_limit(seed):
     """Robots, postures, weights, levels, dampings, gains, postures, held joints, methods and drives at random."""
     rng, Ts = np.random.default_rng(100 + seed), 0.01
@@ -213,8 +213,8 @@ def test_joints_with_different_drives():
         drives = [Drive(delay=late, lag=float(10 ** rng.uniform(-2.3, -0.7))) for _ in range(3)]
         jacobian, _ = plant.jacobian(plant.ROBOTS[i % len(plant.ROBOTS)], rng)
         n = jacobian.shape[1]
-        each = [drives[k] for k in rng.integers(3, size=n)]
-        share = mixed_share(each, Ts)
+        kinds = rng.integers(3, size=n)
+        each, share = [drives[k] for k in kinds], mixed_share([drives[k] for k in np.unique(kinds)], Ts)
         P = np.linalg.pinv(jacobian) @ jacobian
         assert plant.radius(np.eye(n) - 0.99 * share * P, each, Ts) < 1 + 1e-7
     several = ck.gains(Ts=Ts, drive=Drive(delay=2, lag=[0.2, 0.02, 0.02]))

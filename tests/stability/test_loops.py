@@ -81,8 +81,7 @@ LAWS = {
 
 @pytest.mark.parametrize(
     ("name", "method", "stage"),
-    [("damped", "EE", None), ("damped", "IE", 4), ("posture", "CN", 5), ("posture", "EXP-EE", None),
-     ("levels", "RK4", None), ("levels", "EE", None)],
+    [("damped", "RK4", None), ("posture", "EXP-EE", None), ("levels", "IE", 1)],
 )  # fmt: skip
 def test_no_gain_below_the_limit_is_unstable_by_the_loops_own_step(name, method, stage):
     limit = min(stability_limit(method, stage), 10.0)
@@ -92,11 +91,10 @@ def test_no_gain_below_the_limit_is_unstable_by_the_loops_own_step(name, method,
 
 def test_it_is_differentiable_and_checks_rest():
     law = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=20.0, inverse=ck.damped(0.3))
+    of, step = jax.jit(jax.value_and_grad(lambda Ts: spectral_radius(law, None, jnp.asarray(Q2), Ts, "EE"))), 1e-6
     with jax.enable_x64(True):
-        slope = jax.jit(jax.grad(lambda Ts: spectral_radius(law, None, jnp.asarray(Q2), Ts, "EE")))(0.09)
-    step = 1e-6
-    ends = [float(spectral_radius(law, None, Q2, Ts, "EE")) for Ts in (0.09 - step, 0.09 + step)]
-    assert slope == pytest.approx((ends[1] - ends[0]) / (2 * step), rel=1e-5)
+        (before, _), (_, slope), (after, _) = (of(Ts) for Ts in (0.09 - step, 0.09, 0.09 + step))
+    np.testing.assert_allclose(slope, (after - before) / (2 * step), rtol=1e-5)
     cases = ("q` must be at rest", ck.hold([1.0, 1.0]), Q2, 0.01), ("Ts` must be positive", None, Q2, 0.0)
     for says, *bad in (*cases, ("q` must be finite", None, np.inf * Q2, 0.01)):
         with pytest.raises(ArgumentError, match=says):
