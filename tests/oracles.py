@@ -105,18 +105,6 @@ def dh_product(a, alpha, d, theta, kinds, q, convention, base=None, tool=None):
     return out if tool is None else out @ tool
 
 
-def rk4(f, q0, Ts, N):
-    """q[N] of the loop q̇ = f(q, t)."""
-    q = np.array(q0, float)
-    for t in Ts * np.arange(N):
-        k1 = f(q, t)
-        k2 = f(q + Ts / 2 * k1, t + Ts / 2)
-        k3 = f(q + Ts / 2 * k2, t + Ts / 2)
-        k4 = f(q + Ts * k3, t + Ts)
-        q = q + Ts * (k1 + 2 * k2 + 2 * k3 + k4) / 6
-    return q
-
-
 def planar_law(lengths, target, velocity, alpha, sense=1.0, inverse=np.linalg.pinv, null=None):
     """f(q, t) of a planar arm: J#(ẋ_d + K e) + (I − J#J) q̇₀. `target` and `velocity` are functions of t."""
     lengths = np.asarray(lengths, float)

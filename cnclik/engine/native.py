@@ -20,7 +20,7 @@ from cnclik.cache import LRU, bounded_jit
 from cnclik.engine.graph import SlowError, UnsupportedError
 from cnclik.engine.plan import chosen
 from cnclik.engine.program import Program, key_of
-from cnclik.engine.reader import Trace, trace
+from cnclik.engine.reader import Trace, part, trace
 from cnclik.engine.to_jax import Derived
 from cnclik.engine.tracing import engine, is_read
 
@@ -75,12 +75,12 @@ class Function:
     """A function of flat arrays with its forms and the functions of its derivatives.
 
     For a derivative, `of` is (the function, the arguments it is differentiated by, which of its results are real). It
-    is linear in its last arguments, the tangents of these.
+    is linear in its last arguments, the tangents of these. For a part, `whole` is (the function, which of its results).
     """
 
-    def __init__(self, fn, of=None):
-        self.fn, self.of = fn, of
-        self.traces, self.forms, self.derivatives = LRU(), LRU(), {}
+    def __init__(self, fn, of=None, whole=None):
+        self.fn, self.of, self.whole = fn, of, whole
+        self.traces, self.forms, self.derivatives = LRU(), LRU(), LRU()
 
     def __call__(self, *leaves):
         """Return the tree of its results, as part of a JAX program or by one of its own."""
@@ -98,10 +98,15 @@ class Function:
 
     def trace(self, avals) -> Trace:
         """Return its trace for arguments of these avals. What is read already may be without its jaxpr."""
-        return self.traces.made(key_of(avals), lambda _: _without_tracers(trace(self.fn, avals)))
+        return self.traces.made(key_of(avals), lambda _: self._traced(avals))
+
+    def _traced(self, avals):
+        whole = self.whole and self.whole[0].trace(avals)
+        traced = part(whole, self.whole[1]) if whole and whole.closed is not None else trace(self.fn, avals)
+        return traced._replace(closed=None) if traced.stays else traced  # tracers are not to be kept
 
     def shapes(self, avals) -> list:
-        """Return the shapes of its results for arguments of these avals; a derivative has them without a trace."""
+        """Return the shapes of its results. A derivative is not traced for them: one that nobody runs never is."""
         if self.of is None:
             return self.trace(avals).shapes
         of, by, real = self.of
@@ -133,31 +138,24 @@ class Function:
         Args: real: which results have tangents.
         """
         fn = functools.partial(_pushed, self.flat, by, real)
-        return self._derived((by, real), lambda: Function(fn, (self, by, real)))
+        return self.derivatives.made((by, real), lambda _: Function(fn, (self, by, real)))
 
     def transposed(self):
         """Return the cotangents of the last, linear arguments, as a function of the others and of the results'."""
-        of, by, real = self.of
-        return self._derived("transposed", lambda: Function(functools.partial(_pulled_back, of.flat, by, real)))
+        fn = functools.partial(_pulled_back, self.of[0].flat, *self.of[1:])
+        return self.derivatives.made("transposed", lambda _: Function(fn))
 
     def only(self, wanted):
         """Return the same function with the wanted results only, one bool for each result."""
         if all(wanted):
             return self
         if self.of is not None:
-            of, by, real = self.of
-            kept = iter(wanted)
+            (of, by, real), kept = self.of, iter(wanted)
             return of.jvp(by, tuple(r and next(kept) for r in real))
-        return self._derived(wanted, lambda: Function(lambda *args: [*itertools.compress(self.flat(*args), wanted)]))
-
-    def _derived(self, key, make):
-        self.derivatives[key] = found = self.derivatives.get(key) or make()
-        return found
-
-
-def _without_tracers(traced):
-    """A trace that may be kept: what closes over values of a surrounding trace is not."""
-    return traced._replace(closed=None) if traced.stays else traced
+        return self.derivatives.made(
+            wanted,
+            lambda _: Function(lambda *args: [*itertools.compress(self.flat(*args), wanted)], whole=(self, wanted)),
+        )
 
 
 def _restricted(fn, by, real, args):
@@ -192,11 +190,8 @@ native_p.multiple_results = True
 def _lanes(avals, batched):
     """(avals of one lane's arguments, number of lanes or None if there is no lane axis)"""
     size = next((a.shape[0] for a, b in zip(avals, batched, strict=True) if b), None)
-    return [_aval(a.shape[1:] if b else a.shape, a) for a, b in zip(avals, batched, strict=True)], size
-
-
-def _aval(shape, like):
-    return jax.ShapeDtypeStruct(shape, like.dtype, weak_type=getattr(like, "weak_type", False))
+    each = zip(avals, batched, strict=True)
+    return [jax.ShapeDtypeStruct(a.shape[b:], a.dtype, weak_type=a.weak_type) for a, b in each], size
 
 
 @native_p.def_abstract_eval
@@ -270,20 +265,17 @@ def _batch(args, dims, *, function, batched):
     return [x.reshape(size, inner, *x.shape[1:]) for x in made], [0] * len(made)
 
 
-def _nothing(primal):
-    return ad.Zero(jax.typeof(primal).to_tangent_aval())
-
-
 def _jvp(primals, tangents, *, function, batched):
     made = native_p.bind(*primals, function=function, batched=batched)
     tangents = [jnp.asarray(t) if isinstance(t, float) else t for t in tangents]  # as given to `jax.jvp`
     by = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and t.dtype != jax.dtypes.float0)
     real = tuple(jnp.issubdtype(x.dtype, jnp.inexact) for x in made)
+    nothing = [ad.Zero(jax.typeof(x).to_tangent_aval()) for x in made]
     if not by or not any(real):
-        return made, list(map(_nothing, made))
+        return made, nothing
     given, wide = [*primals, *(tangents[i] for i in by)], (*batched, *(batched[i] for i in by))
     found = iter(native_p.bind(*given, function=function.jvp(by, real), batched=wide))
-    return made, [next(found) if r else _nothing(x) for x, r in zip(made, real, strict=True)]
+    return made, [next(found) if r else zero for zero, r in zip(nothing, real, strict=True)]
 
 
 def _transpose(cotangents, *args, function, batched):

@@ -127,8 +127,5 @@ def key_of(avals) -> tuple:
 
 def lane_avals(leaves, *, batched=True) -> list:
     """Return the avals of one lane's arguments."""
-    found = []
-    for x in leaves:
-        a = jax.typeof(x)
-        found.append(jax.ShapeDtypeStruct(a.shape[1:] if batched else a.shape, a.dtype, weak_type=a.weak_type))
-    return found
+    avals = map(jax.typeof, leaves)
+    return [jax.ShapeDtypeStruct(a.shape[batched:], a.dtype, weak_type=a.weak_type) for a in avals]

@@ -179,6 +179,13 @@ def trace(fn, avals) -> Trace:
     return Trace(closed, *jax.tree.flatten(shapes), stays)
 
 
+def part(traced, wanted) -> Trace:
+    """Return the trace of a list of the wanted results alone, one bool for each."""
+    jaxpr, _ = partial_eval.dce_jaxpr(traced.closed.jaxpr, wanted, instantiate=True)
+    shapes = [s for s, w in zip(traced.shapes, wanted, strict=True) if w]
+    return Trace(traced.closed.replace(jaxpr=jaxpr), shapes, jax.tree.structure(shapes), traced.stays)
+
+
 def read(closed, most=math.inf):
     """(graph, input nodes, output values) of a closed jaxpr of one lane.
 

@@ -1,5 +1,6 @@
 """Names: robots, tasks, starts and stages from the words that a user may write."""
 
+import functools
 import os
 import pathlib
 import re
@@ -53,6 +54,7 @@ def load(
     return urdf.chain(read_robot(robot), tip, base, tips=tips, freeze=freeze)
 
 
+@functools.lru_cache  # what is made for a chain, such as a search, is made once
 def _built_in(name) -> Chain:
     if name in ROBOTS:
         return getattr(builtin, name)()

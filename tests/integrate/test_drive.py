@@ -26,18 +26,18 @@ def test_drives_of_any_speed_are_numbers_known_or_traced(command):
     decades = np.array([1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9])
     w, zeta = (v.ravel() for v in np.meshgrid(decades, np.array([1e-4, 0.4, 1.0, 30.0, 1e6])))
     several = dict(lag=decades), dict(natural_frequency=w, damping_ratio=zeta)
+    traced = jax.jit(lambda numbers, step: sampled(Drive(command=command, **numbers), step))
     for step in (1e-4, 1.0):
         for numbers in several:
-            known = sampled(Drive(command=command, **numbers), step)
-            traced = jax.jit(lambda numbers, step=step: sampled(Drive(command=command, **numbers), step))(numbers)
-            for found in (known, traced):
+            known, traced_too = sampled(Drive(command=command, **numbers), step), traced(numbers, step)
+            for found in (known, traced_too):
                 assert np.isfinite(found.phi).all() and np.isfinite(found.now).all()
                 assert np.abs(np.linalg.eigvals(np.asarray(found.phi))).max() < 1 + 1e-9
                 follows = np.eye(found.size)[0 if command == "position" else 1]  # a command that has long been held
                 moved = found.phi @ follows + found.now
                 wanted = follows if command == "position" else follows + step * np.eye(found.size)[0]
                 np.testing.assert_allclose(moved, np.broadcast_to(wanted, moved.shape), atol=1e-7 * max(step, 1.0))
-            for a, b in ((known.phi, traced.phi), (known.now, traced.now)):
+            for a, b in ((known.phi, traced_too.phi), (known.now, traced_too.now)):
                 np.testing.assert_allclose(b, a, atol=1e-7 * max(step, 1.0), rtol=1e-6)
     assert sampled(Drive(lag=1e-9, command=command), 0.01).now[..., 0] == pytest.approx(
         1.0 if command == "position" else 0.01, rel=1e-4
@@ -49,7 +49,7 @@ def test_a_late_measurement_of_a_known_path_costs_nothing():
     start = np.asarray(ck.forward(ARM, Q).position)[:2]
     path = ck.line(start, start + np.array([0.1, -0.05]), duration=1.0)
     runs = [
-        ck.solve(LAW, path, Q, Ts, 50, "EXP-RK4", drive=Drive(measurement_delay=d, delay=e))
+        ck.solve(LAW, path, Q, Ts, 50, "EXP-MIDPOINT", drive=Drive(measurement_delay=d, delay=e))
         for d, e in ((0, 0), (4, 0), (0, 4))
     ]
     worst = [float(np.abs(run.e).max()) for run in runs]

@@ -1,5 +1,6 @@
 """Exponential steps: exact decay, orders, what they know of the target, and the rest of the law with them."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -57,12 +58,13 @@ def test_order_of_orientation(method, order):
 def test_an_error_of_orientation_goes_along_with_the_targets_turn():
     """Half a radian off, with a target that turns: e(t + Ts) = e^{−z} T e(t), to second order in the turn."""
     law, reference, t0 = ck.Law(WRIST, ck.orientation(), alpha=5.0), ck.path(tumbling), 0.5
+    rotation = jax.jit(lambda t: tumbling(t).rotation)
 
     def missed(method, Ts):
         q = TURNED + np.array([0.3, -0.2, 0.35])
         made = ck.step(law, reference, q, t0, Ts, method)
         after = ck.step(law, reference, made.q, t0 + Ts, Ts, method).e
-        turn = np.asarray(tumbling(t0 + Ts).rotation) @ np.asarray(tumbling(t0).rotation).T
+        turn = np.asarray(rotation(t0 + Ts)) @ np.asarray(rotation(t0)).T
         return np.linalg.norm(after - np.exp(-5.0 * Ts) * turn @ made.e)
 
     for method, most in (("EXP-MIDPOINT", 1e-2), ("EXP-RK4", 3e-4)):
@@ -72,23 +74,24 @@ def test_an_error_of_orientation_goes_along_with_the_targets_turn():
 
 def test_a_causal_step_sees_the_targets_start_alone():
     """Two targets that agree in place and velocity at t are the same to it; a velocity told is all that is known."""
-
-    def straight(t):
-        return jnp.stack([0.1 + 0.3 * t, 1.6 - 0.1 * t])
-
-    def bent(t):
-        return straight(t) + jnp.stack([t**2, -3 * t**2])
-
     law = ck.Law(SLIDERS, ck.position("xy"), alpha=2.0)
     q = np.array([0.2, 1.5])
-    for method in ("MIDPOINT", "EXP-MIDPOINT"):
-        one, other = (ck.step(law, ck.causal(ck.path(f)), q, 0.0, 0.1, method).q for f in (straight, bent))
-        close(one, other, atol=1e-15)
-        close(one, ck.step(law, ck.path(straight), q, 0.0, 0.1, method).q, atol=1e-15)
     velocity, e = np.array([0.5, 0.25]), np.array([0.1, 1.6]) - q
-    known = ck.step(law, ck.causal(told(ck.path(bent), velocity)), q, 0.0, 0.1, "EXP-MIDPOINT")
-    close(known.q, q + 0.1 * velocity - np.expm1(-0.2) * e, atol=1e-14)
+
+    def ends(by):
+        """Of causal steps, of others, and of one that is told a velocity."""
+        bent = ck.path(lambda t: jnp.stack([0.1 + 0.3 * t + by * t**2, 1.6 - 0.1 * t - 3 * by * t**2]))
+        made = [(path, name) for path in (ck.causal(bent), bent) for name in ("MIDPOINT", "EXP-MIDPOINT")]
+        made += [(ck.causal(told(bent, velocity)), "EXP-MIDPOINT")]
+        return jnp.stack([ck.step(law, path, q, 0.0, 0.1, name).q for path, name in made])
+
+    ends = jax.jit(ck.native(ends))
+    straight, bent = ends(0.0), ends(1.0)
+    close(bent[:2], straight[:2], atol=1e-15)
+    close(bent[:2], straight[2:4], atol=1e-15)
+    close(bent[4], q + 0.1 * velocity - np.expm1(-0.2) * e, atol=1e-14)
     law = ck.Law(WRIST, ck.orientation(), alpha=5.0)
     steady = ck.path(lambda t: ck.Pose(position=jnp.zeros(3), rotation=exp_so3(t * jnp.array([0.9, -0.5, 0.7])) @ HOME))
-    one, other = (ck.step(law, moving, TURNED + 0.3, 0.0, 0.1, "EXP-EE").q for moving in (steady, ck.causal(steady)))
-    close(one, other, atol=1e-14)
+    each = (steady, ck.causal(steady))
+    both = jax.jit(ck.native(lambda q: [ck.step(law, path, q, 0.0, 0.1, "EXP-EE").q for path in each]))
+    close(*both(TURNED + 0.3), atol=1e-14)

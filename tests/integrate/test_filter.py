@@ -7,6 +7,7 @@ import pytest
 import cnclik as ck
 from cnclik.stability.linear import removed
 from cnclik.stability.poles import scalar_loop
+from tests.integrate.test_exponential import HOME, TURNED, WRIST
 
 ARM, Q0, TS, N, STEP = ck.planar_arm([1.0, 1.0]), np.array([0.3, 1.2]), 0.01, 200, 1e-5
 DRIVES = {
@@ -33,18 +34,17 @@ def test_a_step_of_a_filtered_target_is_the_scalar_loops(name):
 
 def test_a_filtered_target_turns_and_lags():
     """Rotations by ρ of the angle that is left in each sample; a line with feed-forward is Ts ρ/(1 − ρ) late."""
-    panda, q = ck.panda(), np.array([0.2, -0.785, 0.1, -2.2, 0.1, 1.6, 0.785])
-    pose, drive = ck.forward(panda, q), ck.Drive(smoothing=0.8, smoothed="target")
-    place, turn = np.asarray(pose.position), np.asarray(pose.rotation)
-    c, s = np.cos(0.5), np.sin(0.5)
-    target = ck.hold(place, np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ turn)
-    with jax.enable_x64(True):
-        run = ck.solve(ck.Law(panda, ck.pose(), alpha=2000.0), target, q, 0.01, 40, "EXP-RK4", drive=drive)
-        size = np.linalg.norm(np.asarray(run.e), axis=1)
-        np.testing.assert_allclose(size[1:], 0.5 * 0.8 ** np.arange(1, 41), atol=2e-4)
-        line = ck.line(place, place + np.array([0.1, 0, 0]), duration=2.0)
-        run = ck.solve(ck.Law(panda, ck.position(), alpha=20.0), line, q, 0.01, 150, "EXP-MIDPOINT", drive=drive)
-    np.testing.assert_allclose(np.asarray(run.e)[-1], [0.05 * 0.01 * 0.8 / 0.2, 0, 0], atol=1e-6)
+    drive, c, s = ck.Drive(smoothing=0.8, smoothed="target"), np.cos(0.5), np.sin(0.5)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ HOME
+    run = ck.solve(
+        ck.Law(WRIST, ck.orientation(), alpha=2000.0), ck.hold(None, turn), TURNED, TS, 40, "EXP-RK4", drive=drive
+    )
+    size = np.linalg.norm(np.asarray(run.e), axis=1)
+    np.testing.assert_allclose(size[1:], 0.5 * 0.8 ** np.arange(1, 41), atol=2e-4)
+    place = np.asarray(ck.forward(ARM, Q0).position)[:2]
+    line = ck.line(place, place + np.array([0.1, 0]), duration=2.0)
+    run = ck.solve(ck.Law(ARM, ck.position("xy"), alpha=20.0), line, Q0, TS, 150, "EXP-MIDPOINT", drive=drive)
+    np.testing.assert_allclose(np.asarray(run.e)[-1], [0.05 * 0.01 * 0.8 / 0.2, 0], atol=1e-6)
 
 
 def test_it_is_differentiable_and_a_cut_off_is_a_share():
@@ -54,9 +54,8 @@ def test_it_is_differentiable_and_a_cut_off_is_a_share():
     def end(**filters):
         return ck.solve(law, target, Q0, TS, 20, "EE", drive=ck.Drive(delay=1, **filters)).e[-1, 0]
 
-    with jax.enable_x64(True):
-        slope = jax.grad(lambda kept: end(smoothing=kept))(0.5)
-        difference = (end(smoothing=0.5 + 1e-6) - end(smoothing=0.5 - 1e-6)) / 2e-6
-        assert slope == pytest.approx(float(difference), rel=1e-6)
-        assert end(cutoff=10.0) == pytest.approx(float(end(smoothing=np.exp(-2 * np.pi * 10.0 * TS))), rel=1e-12)
-        assert end(smoothing=0.0) == end()
+    each = jax.jit(jax.vmap(ck.native(jax.value_and_grad(lambda kept: end(smoothing=kept)))))
+    values, slopes = each(np.array([0.5, 0.5 + 1e-6, 0.5 - 1e-6, np.exp(-2 * np.pi * 10.0 * TS), 0.0]))
+    assert slopes[0] == pytest.approx(float(values[1] - values[2]) / 2e-6, rel=1e-6)
+    assert end(cutoff=10.0) == pytest.approx(float(values[3]), rel=1e-12)
+    assert values[4] == end()

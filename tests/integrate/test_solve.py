@@ -19,7 +19,8 @@ ARM = ck.planar_arm(LENGTHS)
 LAW = ck.Law(ARM, ck.position("xy"), alpha=4.0)
 Q = np.array([0.3, -0.9, 0.6])
 TARGET = [0.6, 1.3]
-HOLD = ck.hold(TARGET)
+HOLD, WAVE = ck.hold(TARGET), ck.lissajous([0.6, 0.9], [0.2, 0.1], period=4.0)
+solve = functools.partial(ck.solve, LAW, HOLD)
 N = 6
 
 
@@ -41,7 +42,7 @@ def test_trajectory():
 
 
 def test_no_steps():
-    made = ck.solve(LAW, HOLD, Q, 0.1, 0)
+    made = ck.solve(LAW, HOLD, Q, 0.1, 0, "EE")
     assert made.q.shape == (1, 3) and made.qdot.shape == (0, 3) and made.status.shape == (0,)
     assert ck.require_ok(made) is made
 
@@ -87,7 +88,7 @@ def test_no_new_compilation_for_new_numbers():
 
     def solve(alpha, Ts, target, q, t0=0.0, damping=0.1, feedforward=1.0):
         changed = ck.replace(law, alpha=alpha, inverse=ck.damped(damping), feedforward=feedforward)
-        return ck.solve(changed, ck.line(target, [1.0, 1.0], duration=2.0), q, Ts, N, "CN", ck.picard(3), t0=t0)
+        return ck.solve(changed, ck.line(target, [1.0, 1.0], duration=2.0), q, Ts, N, "EE", t0=t0)
 
     solve(4.0, 0.1, TARGET, Q)
     once = len(traced)
@@ -96,11 +97,8 @@ def test_no_new_compilation_for_new_numbers():
     solve(5, 0.2, np.array([1, 0]), tuple(Q), damping=np.asarray(0.3))
     solve(np.float64(5), 0.2, (0, 1), list(Q))
     assert len(traced) == once
-    ck.solve(law, HOLD, Q, 0.1, N + 1, "CN", ck.picard(3))
+    ck.solve(law, HOLD, Q, 0.1, N + 1, "EE")
     assert len(traced) > once
-
-
-solve = functools.partial(ck.solve, LAW, HOLD)
 
 
 test_bad_input = refusals(
@@ -131,15 +129,12 @@ def test_nothing_traced_is_kept(around):
     target, q0 = ck.hold(np.array([1.0, 0.5])), jnp.array([0.3, 0.5])
 
     def scaled(factor):
-        return factor * ck.solve(law, target, q0, 0.0625, 3).e[-1, 0]
+        return factor * ck.solve(law, target, q0, 0.0625, 3, "EE").e[-1, 0]
 
     around(scaled)(jnp.ones(2) if around is jax.vmap else 1.0)
     fresh = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=3.0)
-    wanted = ck.solve(fresh, ck.hold(np.array([1.0, 0.5])), q0, 0.0625, 3).e
-    np.testing.assert_array_equal(ck.solve(law, target, q0, 0.0625, 3).e, wanted)
-
-
-WAVE = ck.lissajous([0.6, 0.9], [0.2, 0.1], period=4.0)
+    wanted = ck.solve(fresh, ck.hold(np.array([1.0, 0.5])), q0, 0.0625, 3, "EE").e
+    np.testing.assert_array_equal(ck.solve(law, target, q0, 0.0625, 3, "EE").e, wanted)
 
 
 @NEEDS_C
@@ -154,10 +149,12 @@ def test_a_step_is_that_of_a_program_of_ones_own_to_the_bit():
 def test_arrays_are_those_of_the_joint_values(engine):
     with ck.use_engine(engine):
         for q, kind in ((Q, np.ndarray), ([0.3, 0.4, 0.5], np.ndarray), (jnp.asarray(Q), jax.Array)):
-            for made in (ck.step(LAW, WAVE, q, 0.0, 0.1), ck.solve(LAW, WAVE, q, 0.1, 3)):
+            for made in (ck.step(LAW, WAVE, q, 0.0, 0.1, "EE"), ck.solve(LAW, WAVE, q, 0.1, 3, "EE")):
                 assert all(isinstance(x, kind) for x in jax.tree.leaves(made))
                 assert kind is jax.Array or not any(x.flags.writeable for x in jax.tree.leaves(made))
-        assert isinstance(jax.jit(lambda a: ck.step(ck.replace(LAW, alpha=a), WAVE, Q, 0.0, 0.1).q)(2.0), jax.Array)
+        assert isinstance(
+            jax.jit(lambda a: ck.step(ck.replace(LAW, alpha=a), WAVE, Q, 0.0, 0.1, "EE").q)(2.0), jax.Array
+        )
 
 
 def test_arrays_that_the_caller_writes_to_are_read_anew():

@@ -11,7 +11,6 @@ import pytest
 from scipy.optimize import lsq_linear
 
 import cnclik as ck
-from cnclik.law.inverse import through
 from cnclik.robot.model import modelled
 from tests.refusals import refusals
 from tests.robot.test_trees import ARMS, G1
@@ -93,7 +92,7 @@ INVERSES = {
     "singular": lambda: ck.singular_damped(0.1, 0.3),
     "levels": levels,
 }
-CASES = [("panda", "damped"), ("panda", "little"), ("panda", "singular"), ("g1", "damped"), ("g1", "levels")]
+CASES = [("panda", "damped"), ("panda", "little"), ("panda", "singular"), ("g1", "levels")]
 
 
 def bound(rate, made, of):
@@ -165,11 +164,11 @@ def test_a_descent_that_is_cut_short_is_no_worse_than_clipping():
     """One step more, clipped, had a million times the cost."""
     drawn = draws("g1", 60, seed=10)
 
-    def one(*of):
-        return act(ck.bounded(RATE, 1), levels(), *of).qdot, through(levels()(of[0], of[1]).apply, *of[:3])
-
-    found, asked = map(np.asarray, jax.jit(jax.vmap(one))(*drawn[:5]))
+    found = np.asarray(jax.jit(jax.vmap(lambda *of: act(ck.bounded(RATE, 1), levels(), *of).qdot))(*drawn[:5]))
     root = 1 / np.where(np.array(levels().level) == 0, 1e-2, 0.1)
+    b = root[:, None] * drawn.rows
+    sides = np.einsum("kmn,km->kn", b, root * drawn.velocity) + drawn.null
+    asked = np.linalg.solve(b.mT @ b + np.eye(b.shape[-1]), sides[..., None])[..., 0]
     cost, clipped = (
         np.sum((root * (np.einsum("kmn,kn->km", drawn.rows, v) - drawn.velocity)) ** 2, 1)
         + np.sum((v - drawn.null) ** 2, 1)
@@ -178,17 +177,21 @@ def test_a_descent_that_is_cut_short_is_no_worse_than_clipping():
     assert np.all((found >= drawn.low) & (found <= drawn.high)) and np.all(cost <= clipped * (1 + 1e-9))
 
 
-@pytest.mark.parametrize("passes", [1, 40])
-def test_a_descent_that_is_cut_short_is_told(passes):
+def test_a_descent_that_is_cut_short_is_told():
     """A step is NOT_CONVERGED where it is, and not where it has settled."""
-    robot, task = robot_and_task("panda")
-    robot = ck.replace(robot, velocity_limit=(3.0,) * robot.n)
-    law = ck.Law(robot, task, alpha=2.0, inverse=ck.damped(1e-3), limits=ck.bounded(passes=passes))
-    q = draws("panda", 40, seed=5).q
-    held = ck.hold_at(robot, task, 0.3 * q[0])
-    status = jax.jit(jax.vmap(lambda q: ck.solve(law, held, q, 0.01, 2, "EE").status))(q)
-    assert np.any(status & ck.Status.NOT_CONVERGED) == (passes == 1)
-    assert np.any(status & ck.Status.AT_LIMIT)
+    limits = {"lower": (-1.5,) * 5, "upper": (1.5,) * 5, "velocity_limit": (3.0,) * 5}
+    robot, task = ck.replace(ck.planar_arm([0.5, 0.4, 0.3, 0.3, 0.2]), **limits), ck.pose("xy", "z")
+    q = np.clip(np.random.default_rng(5).uniform(-2, 2, (40, 5)), -1.5, 1.5)
+    held, law = ck.hold_at(robot, task, 0.3 * q[0]), ck.Law(robot, task, alpha=2.0, inverse=ck.damped(1e-3))
+
+    @jax.jit
+    @jax.vmap
+    def status(q):
+        return [ck.solve(ck.replace(law, limits=ck.bounded(passes=M)), held, q, 0.01, 2, "EE").status for M in (1, 40)]
+
+    short, settled = status(q)
+    assert np.any(short & ck.Status.NOT_CONVERGED) and not np.any(settled & ck.Status.NOT_CONVERGED)
+    assert np.any(short & ck.Status.AT_LIMIT) and np.any(settled & ck.Status.AT_LIMIT)
 
 
 test_what_does_not_fit_is_refused = refusals(

@@ -55,8 +55,6 @@ def cases(dtype):
 @pytest.mark.parametrize(
     ("limits", "method", "stage", "dtype"),
     [
-        ("bounded", "EE", None, np.float64),
-        ("bounded", "IE", ck.picard(2), np.float64),
         ("bounded", "CN", ck.chord(2), np.float64),
         ("bounded", "EXP-MIDPOINT", None, np.float32),
         ("scaling", EXTREME, None, np.float64),
@@ -102,6 +100,7 @@ def test_a_joint_of_one_value_is_no_joint():
 
 @pytest.mark.parametrize("limits", LIMITS)
 def test_gradients_are_finite(limits):
+    @ck.native
     def loss(low, high, speed, q0, target):
         run = ck.solve(law_of(limits, low, high, speed), ck.hold(target), q0, TS, 10, "EE")
         return jnp.sum(run.e[-1] ** 2) + jnp.sum(run.q[-1])

@@ -16,7 +16,7 @@ from cnclik.law.reference import motion, sample
 from tests.oracles import close
 from tests.refusals import refusals
 
-POSE = ck.pose()
+POSE, TURN = ck.pose(), np.eye(3)
 
 
 @jax.jit
@@ -94,7 +94,7 @@ def test_motion_bounds_what_the_target_moves():
         for one, two in itertools.pairwise(places):
             turned = 0.0 if one[1] is None else np.linalg.norm(rotvec(one[1], two[1]))
             wanted.append(np.hypot(np.linalg.norm(two[0] - one[0]), turned))
-        found = np.asarray(motion(reference, TASKS[task], t))
+        found = np.asarray(jax.jit(functools.partial(motion, task=TASKS[task]))(reference, t=t))
         assert np.all(found >= np.array(wanted) - 1e-12) and np.all(found <= 1.571 * np.array(wanted) + 1e-12)
 
 
@@ -165,14 +165,12 @@ def test_orientations_are_the_spline_of_quaternions_in_any_frame():
     made = [ck.waypoints(TIMES, None, form) for form in (turns.as_matrix(), -q, (R3 * turns).as_matrix())]
     t = np.linspace(0.5, 4.0, 15)
     wanted = Rotation.from_quat(CubicSpline(TIMES, q, bc_type="clamped")(t), scalar_first=True)
-    found = [jax.vmap(lambda t, r=r: r.curve(t)[1])(t) for r in made]
+    turned = jax.jit(lambda r: jax.vmap(lambda t: r.curve(t)[1])(t))
+    found = [turned(r) for r in made]
     traced = jax.jit(lambda r: jax.vmap(lambda t: ck.waypoints(TIMES, None, r).curve(t)[1])(t))
     for rotation in (*found[:2], traced(turns.as_matrix())):
         close(rotation, wanted.as_matrix(), atol=1e-12)
     close(found[2], (R3 * wanted).as_matrix(), atol=1e-12)
-
-
-TURN = np.eye(3)
 
 
 test_bad_input = refusals(

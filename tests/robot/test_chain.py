@@ -18,7 +18,7 @@ from tests.oracles import close, dh_product, planar_jacobian, planar_position, p
 from tests.refusals import refusals
 
 LENGTHS = [0.7, 1.1, 0.4]
-ARM = ck.planar_arm([1.0, 1.0])
+ARM, PANDA = ck.planar_arm([1.0, 1.0]), ck.panda()
 # Parameters per joint: literal right angles and zeros (which fold) among general numbers.
 DH = {
     "a": [0.0, 0.4, -0.2, 0.1],
@@ -130,9 +130,6 @@ def test_a_start_is_within_limits_of_every_kind(lower, upper):
     for low, high in ((one, other), (-other, -one)):
         q = start_posture(ck.replace(arm, lower=tuple(low), upper=tuple(high)), ck.position("xy"))
         assert (q >= low).all() and (q <= high).all() and np.abs(q).max() < 20, q
-
-
-PANDA = ck.panda()
 
 
 def test_start_postures_stay_what_pages_and_results_begin_at():

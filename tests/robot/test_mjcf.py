@@ -211,7 +211,8 @@ def test_one_reader_takes_files_and_names(tmp_path, monkeypatch, capsys):
         robot = ck.load(name, base="pelvis", tips={"foot": ("sole", [0, 0, 0.1])}, freeze={"hip": 0.1})
         assert robot.joint_names == ("knee",)
     assert ck.load("panda_description", tip="panda_hand").n == ck.load("panda").n == 7
-    assert ck.load("planar:1,2").n == 2 and ck.load(robots() / URDFS["panda"], tip="panda_link3").n == 3
+    assert ck.load("planar:1,2") is ck.load("planar:1,2") and ck.load("planar:1,2").n == 2
+    assert ck.load(robots() / URDFS["panda"], tip="panda_link3").n == 3
     with pytest.raises(ck.ArgumentError, match="'far_description' ends with OSError: no network"):
         ck.load("far_description")
     for name, said in (("one_mj_description", "Tips .*: head, sole"), (str(file), "floating")):

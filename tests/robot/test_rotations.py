@@ -1,5 +1,7 @@
 """SO(3) exp and log and quaternions, values and derivatives, around 0 and around π."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import jaxlie
@@ -12,27 +14,15 @@ from cnclik.robot import fixed
 from cnclik.robot import rotations as rot
 from tests.oracles import close, hat
 
-
-@jax.jit
-def exp(w):
-    return rot.exp_so3(w)
-
-
-@jax.jit
-def log(r):
-    return rot.log_so3(r)
-
-
-@jax.jit
-def quaternion(r):
-    return rot.quaternion_from_rotation(r)
-
-
-derivative_of_exp = jax.jit(jax.jvp, static_argnums=0)
+# Traced once for all programs.
+exp, log, quaternion = (jax.jit(f) for f in (rot.exp_so3, rot.log_so3, rot.quaternion_from_rotation))
 there_and_back = jax.jit(lambda w: log(exp(w)))
-slope_there_and_back = jax.jit(jax.jacfwd(there_and_back))
-slope_there_and_back_reverse = jax.jit(jax.jacrev(there_and_back))
-curvature_there_and_back = jax.jit(jax.hessian(there_and_back))
+
+
+def each(fn):
+    """The function of one case, compiled once for all of them."""
+    return jax.jit(jax.vmap(fn))
+
 
 # The series takes over at an angle of 1e-2 in exp, and at 2 asin(1e-2) ≈ 2e-2 in log.
 NEAR_ZERO = [0.0, 1e-300, 1e-20, 1e-12, 1e-8, 1e-5, 1e-3, 0.0099999, 0.0100001, 0.0199996, 0.0200004, 0.05]
@@ -41,70 +31,90 @@ NEAR_PI = [np.pi - 1e-2, np.pi - 1e-4, np.pi - 1e-7, np.pi - 1e-10]
 AXES = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1), (0.6, -0.8, 0), (-1, 1, 1), (0.2, -0.3, 0.9)]
 UNIT = [np.array(axis) / np.linalg.norm(axis) for axis in AXES]
 ANGLES = NEAR_ZERO + BETWEEN + NEAR_PI
+WS = np.array([angle * axis for angle in ANGLES for axis in UNIT])
+
+
+@functools.cache
+def values():
+    """Of all angles and axes: R, ours, and what jaxlie makes of them."""
+    exact = Rotation.from_rotvec(WS).as_matrix()
+    peer = lambda w, r: (jaxlie.SO3.exp(w).as_matrix(), jaxlie.SO3.from_matrix(r).log())  # noqa: E731
+    return WS, exact, *each(lambda w, r: (exp(w), log(r), *peer(w, r)))(WS, exact)
+
+
+AT_PI = np.array([*np.eye(3), *-np.eye(3), [0.6, 0.8, 0], [0.6, 0, -0.8], [1, 2, -2], [-1, -1, 1]])
+AT_PI /= np.linalg.norm(AT_PI, axis=1, keepdims=True)
+HALF_TURNS = 2 * AT_PI[:, :, None] * AT_PI[:, None] - np.eye(3)
+
+
+@functools.cache
+def derivatives():
+    """Of log(R exp(w)), forward, reverse and second ones: of all w with R = I, and of w = 0 with half turns."""
+    turned = lambda w, r: log(r @ exp(w))  # noqa: E731
+    second = jax.jacfwd(lambda w, r: (jax.jacrev(turned)(w, r),) * 2, has_aux=True)
+    w, r = np.concatenate([WS, 0 * AT_PI]), np.concatenate([np.stack([np.eye(3)] * len(WS)), HALF_TURNS])
+    (exps, forward), (curvature, reverse) = each(
+        lambda w, r: (jax.jacfwd(lambda w: (exp(w), turned(w, r)))(w), second(w, r))
+    )(w, r)
+    return w, exps, forward, reverse, curvature
+
+
+def of_angle(angle, arrays):
+    i = len(UNIT) * ANGLES.index(angle)
+    return (np.asarray(v)[i : i + len(UNIT)] for v in arrays)
 
 
 @pytest.mark.parametrize("angle", ANGLES)
 def test_exp_and_log_values(angle):
-    for w in (angle * axis for axis in UNIT):
-        exact = Rotation.from_rotvec(w).as_matrix()
-        close(exp(w), exact, atol=1e-15)
-        close(exp(w), jaxlie.SO3.exp(jnp.asarray(w)).as_matrix(), atol=1e-12)
-        # Near π a rounding of R turns the vector by about as much, and never more.
-        close(log(exact), w, atol=2e-15, rtol=2e-15)
-        if 1e-3 < angle < 3.1:
-            close(log(exact), jaxlie.SO3.from_matrix(jnp.asarray(exact)).log(), atol=1e-12)
+    w, exact, made, back, peer, peer_back = of_angle(angle, values())
+    close(made, exact, atol=1e-15)
+    close(made, peer, atol=1e-12)
+    # Near π a rounding of R turns the vector by about as much, and never more.
+    close(back, w, atol=2e-15, rtol=2e-15)
+    if 1e-3 < angle < 3.1:
+        close(back, peer_back, atol=1e-12)
 
 
 @pytest.mark.parametrize("angle", ANGLES)
 def test_derivatives(angle):
     """log(exp(w)) = w for angles under π: so the derivative is I, and the second one 0."""
-    for w in (angle * axis for axis in UNIT):
-        for direction in np.eye(3):
-            _, slope = derivative_of_exp(exp, (jnp.asarray(w),), (jnp.asarray(direction),))
-            exact = scipy.linalg.expm_frechet(hat(w), hat(direction), compute_expm=False)
-            close(slope, exact, atol=2e-14)
-        close(slope_there_and_back(w), np.eye(3), atol=1e-12)
-        close(slope_there_and_back_reverse(w), np.eye(3), atol=1e-12)
-        close(curvature_there_and_back(w), 0, atol=1e-9)
+    w, slopes, forward, reverse, curvature = of_angle(angle, derivatives())
+    for one, slope in zip(w, slopes, strict=True):
+        exact = [scipy.linalg.expm_frechet(hat(one), hat(d), compute_expm=False) for d in np.eye(3)]
+        close(np.moveaxis(slope, -1, 0), exact, atol=2e-14)
+    close(forward, np.broadcast_to(np.eye(3), forward.shape), atol=1e-12)
+    close(reverse, np.broadcast_to(np.eye(3), reverse.shape), atol=1e-12)
+    close(curvature, 0, atol=1e-9)
 
 
-turn_slope = jax.jit(jax.jacfwd(lambda s, r, axis: log(r @ exp(s * axis))))
-turn_curvature = jax.jit(jax.jacfwd(jax.jacfwd(lambda s, r, axis: log(r @ exp(s * axis)))))
-log_slope = jax.jit(jax.jacfwd(log))
-
-
-@pytest.mark.parametrize("axis", [*np.eye(3), *-np.eye(3), [0.6, 0.8, 0], [0.6, 0, -0.8], [1, 2, -2], [-1, -1, 1]])
-def test_log_at_pi(axis):
+def test_log_at_pi():
     """At exactly π: one of the two vectors, length π, with finite derivatives of every order asked for."""
-    axis = np.array(axis) / np.linalg.norm(axis)
-    r = 2 * np.outer(axis, axis) - np.eye(3)
-    w = np.asarray(log(r))
-    assert np.linalg.norm(w) == pytest.approx(np.pi, abs=1e-15)
-    close(np.abs(w @ axis), np.pi, atol=1e-14)
-    # A turn about the axis changes the length at rate 1, on the branch that was returned.
-    slope = turn_slope(0.0, r, axis)
-    close(slope, axis, atol=1e-14)
-    assert np.all(np.isfinite(turn_curvature(0.0, r, axis)))
-    assert np.all(np.isfinite(log_slope(r)))
+    w, entries = map(np.asarray, each(lambda r: (log(r), jax.jacfwd(log)(r)))(HALF_TURNS))
+    close(np.linalg.norm(w, axis=1), np.pi, atol=1e-15)
+    close(np.abs(np.sum(w * AT_PI, axis=1)), np.pi, atol=1e-14)
+    _, _, *slopes, curvature = (np.asarray(v)[len(WS) :] for v in derivatives())
+    for slope in slopes:  # a turn about the axis changes the length at rate 1, on the branch that was returned
+        close(np.einsum("kij,kj->ki", slope, AT_PI), AT_PI, atol=1e-14)
+    assert np.all(np.isfinite(curvature)) and np.all(np.isfinite(entries))
 
 
 def test_quaternions():
-    for w in (angle * axis for angle in ANGLES[::3] for axis in UNIT):
-        r = Rotation.from_rotvec(w)
-        wanted = r.as_quat(canonical=True, scalar_first=True)
-        found = np.asarray(quaternion(r.as_matrix()))
-        close(found * np.sign(found @ wanted), wanted, atol=1e-15)
-        assert found[0] >= 0
-        close(jnp.array(rot.rotation_from_quaternion(found)), r.as_matrix(), atol=2e-15)
+    r = Rotation.from_rotvec(WS[::3])
+    wanted = r.as_quat(canonical=True, scalar_first=True)
+    found = np.asarray(each(quaternion)(r.as_matrix()))
+    close(found * np.sign(np.sum(found * wanted, axis=1, keepdims=True)), wanted, atol=1e-15)
+    assert np.all(found[:, 0] >= 0)
+    close(each(lambda q: jnp.array(rot.rotation_from_quaternion(q)))(found), r.as_matrix(), atol=2e-15)
 
 
-@pytest.mark.parametrize("w", [[np.pi / 2, 0, 0], [0, -np.pi / 2, 0], 2 * np.pi / 3 * np.ones(3) / np.sqrt(3)])
-def test_quaternion_slopes_where_entries_are_equally_large(w):
+def test_quaternion_slopes_where_entries_are_equally_large():
     """At a right angle, and at a third of a turn about (1, 1, 1), whose matrix is a permutation: q̇ = (0, d/2) ∘ q."""
-    r = np.round(Rotation.from_rotvec(w).as_matrix())
-    found = jax.jacfwd(lambda d: quaternion(exp(d) @ r))(jnp.zeros(3))
-    q = quaternion(r)
-    close(found, np.vstack([-q[1:], q[0] * np.eye(3) - hat(q[1:])]) / 2, atol=1e-15)
+    ws = [[np.pi / 2, 0, 0], [0, -np.pi / 2, 0], 2 * np.pi / 3 * np.ones(3) / np.sqrt(3)]
+    r = np.round(Rotation.from_rotvec(ws).as_matrix())
+    slope = jax.jacfwd(lambda d, r: quaternion(exp(d) @ r))
+    found = each(lambda r: (quaternion(r), slope(jnp.zeros(3), r)))(r)
+    for q, made in zip(*map(np.asarray, found), strict=True):
+        close(made, np.vstack([-q[1:], q[0] * np.eye(3) - hat(q[1:])]) / 2, atol=1e-15)
 
 
 def test_literals_fold():
@@ -119,17 +129,15 @@ def test_literals_fold():
     assert not isinstance(fixed.mul(jnp.asarray(0.0), x), float)
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-20, 1e-5, 9.9e-3, 1.01e-2, 0.02, 0.021, 1.0, 3.0, np.pi - 1e-3, np.pi])
-def test_float32(angle):
+def test_float32():
     """Single precision: values to 4e-7, slopes to 1e-4, nothing infinite."""
-    for axis in AXES:
-        axis = np.array(axis) / np.linalg.norm(axis)
-        w = jnp.asarray(angle * axis, jnp.float32)
-        assert exp(w).dtype == log(exp(w)).dtype == jnp.float32
-        close(exp(w), Rotation.from_rotvec(np.asarray(w, float)).as_matrix(), atol=4e-7)
-        again = np.asarray(log(exp(w)))
-        close(np.minimum(np.abs(again - w), np.abs(again + w)).max(), 0, atol=2e-6)
-        slope = slope_there_and_back(w)
-        if angle < 3.1:
-            close(slope, np.eye(3), atol=1e-4)
-        assert np.all(np.isfinite(slope))
+    angles = [0.0, 1e-20, 1e-5, 9.9e-3, 1.01e-2, 0.02, 0.021, 1.0, 3.0, np.pi - 1e-3, np.pi]
+    w = np.array([angle * axis for angle in angles for axis in UNIT], np.float32)
+    made = each(lambda w: (exp(w), there_and_back(w), jax.jacfwd(there_and_back)(w)))(w)
+    turn, again, slope = map(np.asarray, made)
+    assert turn.dtype == again.dtype == np.float32
+    close(turn, Rotation.from_rotvec(np.asarray(w, float)).as_matrix(), atol=4e-7)
+    close(np.minimum(np.abs(again - w), np.abs(again + w)), 0, atol=2e-6)
+    within = np.linalg.norm(w, axis=1) < 3.1
+    close(slope[within], np.broadcast_to(np.eye(3), (within.sum(), 3, 3)), atol=1e-4)
+    assert np.all(np.isfinite(slope))

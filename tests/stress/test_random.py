@@ -1,5 +1,7 @@
 """Random robots, tasks and walls: no NaN without a status, limits that hold, no run that passes a wall."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -7,7 +9,9 @@ from hypothesis import strategies as st
 
 import cnclik as ck
 from cnclik.problem.names import task_from
-from tests.law.test_walls import check_least, wall_distance
+from cnclik.robot.model import modelled
+from cnclik.task.parts import At
+from tests.law.test_walls import check_least
 from tests.robot.test_trees import ARMS, G1
 from tests.task.test_shapes import DOWN, FRANKA, G1_PAIRS, HUMANOID, coal_distances
 
@@ -17,6 +21,12 @@ LAWS = {
     "bounded": {"inverse": ck.damped(0.05), "limits": ck.bounded()},
     "scaled": {"inverse": ck.singular_damped(0.05, 0.1), "limits": ck.velocity_scaling()},
 }
+
+
+def wall_distance(law, q):
+    """The distance to each wall at joint values (..., n), h (..., k); negative behind it."""
+    each = lambda q: jnp.stack([w.distance(At(modelled(law.chain), q)) for w in law.limits.walls])  # noqa: E731
+    return np.asarray(jax.jit(jnp.vectorize(each, signature="(n)->(k)"))(q))
 
 
 @pytest.mark.parametrize("name", LAWS)

@@ -54,7 +54,7 @@ def test_a_sweep_is_a_plain_double_loop_over_solve():
     for place in itertools.product(*(range(len(values)) for values in axes.values())):
         at = dict(zip(axes, place, strict=True))
         method, alpha, Ts, M = (values[i] for values, i in zip(axes.values(), place, strict=True))
-        law, run = loop(alpha, float(Ts), int(M), method)
+        law, run = loop(alpha, float(Ts), np.array(int(M)), method)
         tangent = np.array([-1.0, 0.0]) * (np.arange(N + 1) * float(Ts) <= 0.6 + 1e-9)[:, None]
         with np.errstate(invalid="ignore"):
             wanted = plain.metrics(run, law, tangent, 0.01, np.inf, -np.inf, np.inf)

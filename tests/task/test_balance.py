@@ -78,7 +78,7 @@ def test_mimics_beside_a_tip_follow_where_their_leader_stands(freeze, stands):
 def test_rows_are_derivatives(to):
     robot = ck.load_urdf(G1, tips=[*ARMS, *FEET])
     made, (q,) = seen(robot, ck.center_of_mass("xz", relative_to=to)), postures(robot, 1, seed=4)
-    close(made(q)[1], central_differences(jax.vmap(lambda q: made(q)[0]), q), atol=1e-10)
+    close(made(q)[1], central_differences(lambda many: [made(one)[0] for one in many], q), atol=1e-10)
     close(made(q)[0], ck.com(robot, q, relative_to=to)[np.array([0, 2])], atol=1e-14)
 
 

@@ -13,6 +13,7 @@ from cnclik.law.reference import aims_of
 from cnclik.robot.model import modelled
 from cnclik.task.parts import At
 from cnclik.task.task import error, rows
+from tests.bank import robot as robot_of
 from tests.oracles import close
 from tests.refusals import refusals
 from tests.robot.test_trees import ARMS, BAXTER, G1, GRIPPERS, postures
@@ -26,6 +27,7 @@ STACK = ck.stack(
     torso=ck.orientation("xy", tip="torso_link"),
 )
 PLANAR = ck.planar_arm([0.5, 0.4, 0.3, 0.2])
+LEFT, RIGHT = ck.position(tip="l"), ck.position(tip="r")
 
 
 @jax.jit
@@ -100,28 +102,27 @@ def test_levels_are_the_recursion(lams):
 
 
 def test_a_run_tells_what_each_task_did():
-    q = np.zeros(HUMANOID.n)
-    tip = ck.forward(HUMANOID, q, tip=ARMS[0])
-    hand = ck.hold(np.asarray(tip.position) + 0.1, np.asarray(tip.rotation))
-    held = ck.hold_at(HUMANOID, STACK, q)["hands"]
-    hands = ck.references(**(dict(zip(held.names, held.each, strict=True)) | {ARMS[0]: hand}))
-    alpha = {"feet": 10.0, "hands": 250.0, "torso": 10.0}  # stretched legs are the feet's singularity alone
-    law = ck.Law(HUMANOID, STACK, alpha=alpha, inverse=ck.damped(0.02), near_singular=0.02)
-    run = ck.solve(law, ck.hold_at(HUMANOID, STACK, q, hands=hands), q, 0.01, 8, "EE")
+    robot = robot_of("two arms")
+    (one, other), q = (tip.name for tip in robot.tips), np.zeros(robot.n)
+    hands = ck.position("xy", tip=one) & ck.position("x", tip=other)
+    task = ck.stack(angle=ck.orientation("z", tip=other), hands=hands)
+    hand = ck.hold(np.asarray(ck.forward(robot, q, tip=one).position)[:2] + 0.1)
+    held = ck.hold_at(robot, task, q)["hands"]
+    hands = ck.references(**(dict(zip(held.names, held.each, strict=True)) | {one: hand}))
+    alpha = {"angle": 10.0, "hands": 250.0}  # straight arms are the hands' singularity
+    law = ck.Law(robot, task, alpha=alpha, inverse=ck.damped(0.02), near_singular=0.02)
+    run = ck.solve(law, ck.hold_at(robot, task, q, hands=hands), q, 0.01, 8, "EE")
     bits = int(np.bitwise_or.reduce(run.status))
     assert bits & ck.Status.GROWING and bits & ck.Status.NEAR_SINGULAR
-    close(run["hands"].e, run.e[:, 12:21], atol=0)
-    assert run["torso"].x.shape == (9, 2) and "hands: ‖e‖" in repr(run)
+    close(run["hands"].e, run.e[:, 1:], atol=0)
+    assert run["angle"].x.shape == (9, 1) and "hands: ‖e‖" in repr(run)
     data = ck.measure.to_dataset(run, law)
-    assert list(data.task.values) == ["feet", "hands", "torso"]
-    assert list(data.axis_task.values[10:13]) == ["feet", "feet", "hands"]
-    with pytest.raises(ck.ArgumentError, match="`name` must be one of feet, hands, torso"):
+    assert list(data.task.values) == ["angle", "hands"]
+    assert list(data.axis_task.values) == ["angle", "hands", "hands", "hands"]
+    with pytest.raises(ck.ArgumentError, match="`name` must be one of angle, hands"):
         run["legs"]
     with pytest.raises(ck.ArgumentError, match="the run is of no stack"):
         ck.solve(ck.Law(PLANAR, ck.position("xy"), alpha=1.0), ck.hold([0.5, 0.5]), np.ones(4), 0.1, 1)["hands"]
-
-
-LEFT, RIGHT = ck.position(tip="l"), ck.position(tip="r")
 
 
 test_what_is_refused = refusals(
