@@ -10,7 +10,6 @@ import pytest
 import cnclik as ck
 from cnclik.cli import main
 from cnclik.cli import view as cli
-from cnclik.integrate.trajectory import Trajectory
 from cnclik.measure.dataset import to_dataset
 from cnclik.problem.build import problem_from
 from cnclik.robot.urdf import load_urdf
@@ -28,12 +27,8 @@ HANDS = ["left_rubber_hand", "right_rubber_hand"]
 
 
 def moved(chain, q):
-    """The motion of a run that stays at q."""
-    law, t, one = ck.Law(chain, ck.joints(), alpha=1.0, inverse=ck.damped(0.1)), np.array([0.0, 0.01]), np.zeros(1)
-    still = np.zeros((2, law.task.m))
-    run = Trajectory(t=t, q=np.stack([q, q]), x=still, e=still, qdot=0 * q[None], residual=one, contraction=one,
-                     status=one.astype(int), evaluations=np.asarray(1))  # fmt: skip
-    return motion.motion_of(to_dataset(run, law), chain)
+    """The motion of a robot that stays at q."""
+    return motion.Motion(chain, None, motion.link_poses(chain, q[None]), ())
 
 
 # --- motions --------------------------------------------------------------------------------------------
