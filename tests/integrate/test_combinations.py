@@ -21,7 +21,7 @@ from tests.stability.plant import TABLEAUX, hold
 
 LENGTHS, Q0, REST = {2: [1.0, 0.8], 3: [0.8, 0.6, 0.4]}, np.array([0.3, 0.7, 0.6]), np.array([0.5, 0.2, 0.9])
 LOWER, UPPER, SPEED = np.array([0.1, -1.0, -2.0]), np.array([2.0, 0.75, 2.0]), np.array([1.2, 0.9, 1.1])
-TS, N, RATE, PULL = 0.05, 8, 12.0, 1.5
+TS, N, RATE, PULL = 0.05, 6, 12.0, 1.5
 GAINS = np.array([8.0, 6.0])
 CENTRE, RADIUS, SPIN = np.array([-0.75, 1.25]), 0.25, 1.3
 
@@ -160,11 +160,11 @@ def step(method, stage, inverse, limits, rest, q, t, offset):
                 e = error(rest, q, t) + offset
                 v = aim_velocity(rest, t) + gains * e
                 explicit = joint_velocity(inverse, limits, rest, q, e, v, posture * (home - q))
-            slope = explicit
-            for _ in range(3):
-                slope = field(i, base + row[i] * TS * slope)
+            slope, h = explicit, row[i] * TS
+            for _ in range(3 * (stage in PICARD)):
+                slope = field(i, base + h * slope)
             if stage not in PICARD:
-                slope = root(lambda k, i=i, base=base: field(i, base + A[i][i] * TS * k) - k, slope, tol=1e-14).x
+                slope = root(lambda k, i=i, base=base, h=h: field(i, base + h * k) - k, slope, tol=1e-14).x
         else:
             slope = field(i, base)
         slopes.append(slope)
