@@ -28,7 +28,8 @@ HANDS = ["left_rubber_hand", "right_rubber_hand"]
 
 def moved(chain, q):
     """The motion of a robot that stays at q."""
-    return motion.Motion(chain, None, motion.link_poses(chain, q[None]), ())
+    data = SimpleNamespace(q=SimpleNamespace(values=q[None]))
+    return motion.Motion(chain, data, motion.link_poses(chain, q[None]), ())
 
 
 # --- motions --------------------------------------------------------------------------------------------
