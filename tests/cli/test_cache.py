@@ -84,13 +84,12 @@ def named():
 def test_a_folder_that_is_no_good_is_no_error(tmp_path, monkeypatch, capfd, named):
     """A file with its name, and a folder into which others may write."""
     jax.config.update("jax_compilation_cache_dir", None)
-    file, folder = tmp_path / "file", tmp_path / "folder"
-    file.mkdir()
-    (file / "cnclik").write_text("")
-    (folder / "cnclik").mkdir(parents=True)
-    (folder / "cnclik").chmod(0o777)
-    for place in (file, folder):
-        monkeypatch.setenv("XDG_CACHE_HOME", str(place))
+    (tmp_path / "file").mkdir()
+    (tmp_path / "file" / "cnclik").write_text("")
+    (tmp_path / "folder" / "cnclik").mkdir(parents=True)
+    (tmp_path / "folder" / "cnclik").chmod(0o777)
+    for name in ("file", "folder"):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / name))
         assert kept.use_cache() is jax.config.jax_compilation_cache_dir is None
     assert capfd.readouterr() == ("", "")
 
