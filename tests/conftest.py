@@ -35,7 +35,7 @@ from cnclik.cache import give_back
 
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
-LONG = {"test_near", "test_search", "tests", "stress"}  # files and folders
+LONG = {"test_near", "test_search", "stress"}  # files and folders
 LONGEST = [
     *("combinations", "docs", "several", "near", "native", "reach", "programs", "primitives", "tune", "gradients"),
     *("bounded", "step", "ending", "cli_solve", "walls", "inverse", "files", "store", "gains", "cli", "bank", "bases"),

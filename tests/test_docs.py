@@ -26,6 +26,7 @@ PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 
 # Less of the same, by verb.
 FEWER = {"solve": {"--N": ["5"], "--no-figures": []}, "map": {"--N": ["8"]}, "view": {"--N": ["5"]}}
+LESS = (("1_000_000", "1_000"), ("65_536", "1_000"), (", 200)", ", 4)"))
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in
 ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py", "check": "tests/cli/test_cli_diagnose.py"}
 # Pages of many programs, or of humanoids: with `-m slow` only, as in a full build of the site.
@@ -121,9 +122,12 @@ def read_aloud(page, folder, less):
     prepare(folder, less)
     names, done = {"__name__": "page"}, []
     before = [text for other in PAGES[: PAGES.index(page)] for _, text in parts(other)] if less else []
+    swept = any(re.fullmatch(r"cnclik sweep \S+", text) for text in before)
     for kind, text in parts(page):
         if kind == "python":
-            code = text.replace("1_000_000", "1_000").replace(", 200)", ", 4)") if less else text
+            code = text
+            for many, few in LESS if less else ():
+                code = code.replace(many, few)
             with jax.enable_x64(False):  # Python users get float32
                 exec(compile(code, page.name, "exec"), names)
             continue
@@ -135,9 +139,11 @@ def read_aloud(page, folder, less):
         if argv[0] in ELSEWHERE or named or argv in done:
             continue
         done.append(argv)
-        if less and len(argv) == 2 and argv[0] == "sweep" and any(d[0] == "sweep" and len(d) == 2 for d in done[:-1]):
+        if less and len(argv) == 2 and argv[0] == "sweep":
             assert pathlib.Path(argv[1]).is_file()
-            continue  # every spec is the same one
+            if swept:
+                continue  # every spec is the same one
+            swept = True
         if argv[0] == "view" and not has_viser():
             continue
         try:

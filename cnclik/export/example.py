@@ -51,12 +51,12 @@ def _of_step(law, program, random) -> dict:
 
 def results(program, given) -> dict:
     """Return {"group.name": (count, size)} of all results."""
-    fields = [(f"{group}.{f.name}", f) for group, some in program.inputs.items() for f in some]
-    flat = [given[key].reshape(-1, *f.shape) for key, f in fields]
+    flat = [given[f"{group}.{f.name}"].reshape(-1, *f.shape) for group, some in program.inputs.items() for f in some]
     with jax.enable_x64(any(x.dtype == np.float64 for x in flat)):
-        values = jax.jit(jax.vmap(program.fn), compiler_options={"xla_backend_optimization_level": 0})(*flat)  # once
+        one = jax.jit(program.fn, compiler_options={"xla_backend_optimization_level": 0})  # a batch takes XLA longer
+        values = zip(*[one(*row) for row in zip(*flat, strict=True)], strict=True)
     keys = [f"{group}.{f.name}" for group, some in program.outputs.items() for f in some]
-    return {key: np.asarray(x).reshape(len(x), -1) for key, x in zip(keys, values, strict=True)}
+    return {key: np.stack(x).reshape(COUNT, -1) for key, x in zip(keys, values, strict=True)}
 
 
 def example(request, program, names) -> str:

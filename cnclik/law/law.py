@@ -173,10 +173,10 @@ def metric(law: Law):
 
     In this norm the error of a loop with one gain never grows, even if tasks conflict.
     """
-    weights = jnp.asarray(weighted(law.task, np.ones(law.task.m)))
+    xp, weights = xp_for(law.task, law.inverse), weighted(law.task, np.ones(law.task.m))
     if isinstance(law.inverse, Levels):
-        weights = weights / jnp.asarray(law.inverse.damping)[np.array(law.inverse.level)]
-    return weights / jnp.max(weights)
+        weights = weights / xp.asarray(law.inverse.damping)[np.array(law.inverse.level)]
+    return weights / xp.max(xp.asarray(weights))
 
 
 class Observation(NamedTuple):

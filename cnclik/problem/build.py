@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 from typing import Any, Literal
@@ -24,7 +25,7 @@ from cnclik.law.reference import References, aims_of, hold_at
 from cnclik.problem import names
 from cnclik.problem import reference as paths
 from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, in_own_units
-from cnclik.record import AnyArray, ArrayLike, Float, Number, in_words
+from cnclik.record import AnyArray, ArrayLike, Float, Number, in_words, xp_for
 from cnclik.robot.chain import Chain
 from cnclik.robot.poses import quaternions
 
@@ -84,9 +85,8 @@ class Problem:
         stage, drive = f" by {self.stage}" * self.method.implicit, drive_in_words(self.drive or Drive(), float(self.Ts))
         distinct = list(dict.fromkeys(np.ravel(law.alpha).tolist()))
         alpha = in_words(distinct if len(distinct) > 1 else distinct[0])
-        beyond = (self.q0 < np.asarray(chain.lower)) | (self.q0 > np.asarray(chain.upper))
-        outside = ", ".join(np.array(chain.joint_names)[beyond])
-        outside = f", beyond the limits of {outside} (degrees are written with deg)" if outside else ""
+        beyond = np.array(chain.joint_names)[(self.q0 < np.array(chain.lower)) | (self.q0 > np.array(chain.upper))]
+        outside = f", beyond the limits of {', '.join(beyond)} (degrees are written with deg)" * (len(beyond) > 0)
         lines = [
             f"{self.name}, {str(task)[6:]}; N = {self.N} steps of Ts = {1e3 * self.Ts:g} ms",
             f"{self.method}{stage}, {type(law.inverse).__name__.lower()}, alpha = {alpha} 1/s, {drive}",
@@ -94,7 +94,7 @@ class Problem:
         ]
         if isinstance(self.reference, Reference):
             points = []
-            for part, aim in zip(task.parts, aims_of(self.reference, task, 0.0), strict=True):
+            for part, aim in zip(task.parts, jax.jit(aims_of)(self.reference, task, 0.0), strict=True):
                 turns = getattr(part, "turns", False)
                 unit = "as w x y z" if turns else ", ".join(dict.fromkeys(part.units))
                 points.append(f"{in_words(quaternions(np.array(aim)) if turns else aim)} {unit}")
@@ -203,8 +203,8 @@ def problem_from(
     parts = names.task_from(v["task"], chain, own_tip)
     check_units("q0", v["q0"], chain)
     law = _law(chain, parts, v, Ts)
-    with jax.ensure_compile_time_eval():  # in a sweep, the start of a path that all loops share is searched for once
-        q0 = names.start_from(chain, parts, v["q0"])
+    with contextlib.nullcontext() if xp_for(v) is np else jax.ensure_compile_time_eval():
+        q0 = names.start_from(chain, parts, v["q0"])  # once for all loops of a sweep that share it
         options = {k: v[k] for k in paths.OPTIONS}
         path = paths.reference_from(v["reference"], chain, parts, q0, horizon=N * Ts, **options)
         if v["begin"] == "on-path":

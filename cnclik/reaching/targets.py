@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+import jax
 import numpy as np
 
 from cnclik import errors
@@ -29,16 +30,15 @@ def read(targets, task: Task):
     for _, aim, where, turn in each:
         where = xp.zeros(3) if where is None else xp.where(np.array([k in aim.linear for k in range(3)]), where, 0.0)
         turn = xp.eye(3) if turn is None else turn
-        for own in (where.reshape(-1, 3), turn.reshape(-1, 9)):
-            made.append(own if len(own) == size else xp.broadcast_to(own, (size, own.shape[1])))
+        made += [xp.broadcast_to(own.reshape(-1, k), (size, k)) for own, k in ((where, 3), (turn, 9))]
     made = xp.concatenate(made, axis=1)
     return np.ascontiguousarray(made, float) if xp is np else made, alone
 
 
 def wanted_at(reference: Reference | References, task: Task, t):
     """(what a task wants of tips, its targets as `reach` takes them) where the paths are at a time."""
-    of, each = of_tips(task), []
-    values = iter([v for v, p in zip(aims_of(reference, task, t), task.parts, strict=True) if hasattr(p, "axes")])
+    of, each, found = of_tips(task), [], jax.jit(aims_of)(reference, task, t)  # else op by op
+    values = iter([v for v, part in zip(found, task.parts, strict=True) if hasattr(part, "axes")])
     for aim in aims(of):
         own = [(part.turns, next(values)) for part in aim.parts]
         places, turns = ([value for kind, value in own if kind == turn] for turn in (False, True))

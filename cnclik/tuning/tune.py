@@ -193,7 +193,7 @@ def tune(
     values = np.clip(within.values(after.u), lower, upper)
     tuned = jax.tree.map(np.array, put(law, parameters, values))  # new arrays: these belong to float64, see `precision`
     first, q0 = jax.tree.map(np.array, references[0]), np.array(objective.scenarios[1][0])
-    runs = [jax.tree.map(lambda x: np.array(x[0]), point.seen) for point in (before, after)]
+    runs = [jax.tree.map(lambda x: np.array(np.asarray(x)[0]), point.seen) for point in (before, after)]
     return Tuned(
         law=tuned,
         loop=(tuned, first, q0, float(Ts), *how),

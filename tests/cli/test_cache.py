@@ -27,22 +27,21 @@ def happened(event, **_):
 jax.monitoring.register_event_time_span_listener(span)
 jax.monitoring.register_event_listener(happened)
 from cnclik.cli import main
-main("solve planar:1,1 --N 3 --no-figures".split())
+main("solve planar:1,1 --N 3 --method EE --no-figures".split())
 jax.jit(jax.numpy.sin)(1.0)
 print("{compile} programs, {hits} from the cache".format(**found))
 """
 
 
-def programs(folder, code=COUNTING, *argv, **more):
+def programs(folder, **more):
     """(compiled or taken from the cache, taken from the cache) by a command with `folder` as the user's cache folder;
     and what it printed of the error. Nothing is on stderr."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_COMPILATION", "JAX_PERSISTENT"))}
     environment |= {"XDG_CACHE_HOME": str(folder), "HOME": str(folder), "PYTHONPATH": str(ROOT)} | more
-    words = [sys.executable, "-c", code, *argv]
-    done = subprocess.run(words, env=environment, capture_output=True, text=True, cwd=folder)
+    done = subprocess.run([sys.executable, "-c", COUNTING], env=environment, capture_output=True, text=True, cwd=folder)
     assert (done.returncode, done.stderr) == (0, "")
     numbers = re.search(r"(\d+) programs, (\d+) from the cache", done.stdout)
-    return [*map(int, numbers.groups()), re.findall(".* error .*", done.stdout)] if numbers else done.stdout
+    return [*map(int, numbers.groups()), re.findall(".* error .*", done.stdout)]
 
 
 @linux
@@ -70,41 +69,43 @@ def test_switches_and_damage(tmp_path):
     assert programs(tmp_path)[1] == 0
 
 
+@pytest.fixture
+def named():
+    """The folder that the environment names; JAX's switches are as before in the end."""
+    names = ("enable_compilation_cache", "compilation_cache_dir", "persistent_cache_min_compile_time_secs")
+    before = {f"jax_{name}": getattr(jax.config, f"jax_{name}") for name in names}
+    yield pathlib.Path(before["jax_compilation_cache_dir"])
+    for name, value in before.items():
+        jax.config.update(name, value)
+    jax.experimental.compilation_cache.compilation_cache.reset_cache()
+
+
 @linux
-def test_a_folder_that_is_no_good_is_no_error(tmp_path):
+def test_a_folder_that_is_no_good_is_no_error(tmp_path, monkeypatch, capfd, named):
     """A file with its name, and a folder into which others may write."""
-    file, folder = tmp_path / "file", tmp_path / "folder"
-    file.mkdir()
-    (file / "cnclik").write_text("")
-    (folder / "cnclik").mkdir(parents=True)
-    (folder / "cnclik").chmod(0o777)
-    code = (
-        "import os, sys, jax, cnclik as ck\n"
-        "for os.environ['XDG_CACHE_HOME'] in sys.argv[1:]: print(ck.use_cache(), jax.config.jax_compilation_cache_dir)"
-    )
-    assert programs(tmp_path, code, str(file), str(folder)) == "None None\nNone None\n"
+    jax.config.update("jax_compilation_cache_dir", None)
+    (tmp_path / "file").mkdir()
+    (tmp_path / "file" / "cnclik").write_text("")
+    (tmp_path / "folder" / "cnclik").mkdir(parents=True)
+    (tmp_path / "folder" / "cnclik").chmod(0o777)
+    for name in ("file", "folder"):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / name))
+        assert kept.use_cache() is jax.config.jax_compilation_cache_dir is None
+    assert capfd.readouterr() == ("", "")
 
 
-def test_where_and_the_switches(tmp_path, monkeypatch):
+def test_where_and_the_switches(tmp_path, monkeypatch, named):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     if sys.platform != "darwin":
         assert kept.user_folder() == tmp_path / "cnclik"
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setattr(kept.sys, "platform", "darwin")
     assert kept.user_folder().parts[-3:] == ("Library", "Caches", "cnclik")
-    named = jax.config.jax_compilation_cache_dir
-    least = jax.config.jax_persistent_cache_min_compile_time_secs
-    try:
-        assert kept.use_cache() == pathlib.Path(named)  # the environment's
-        assert kept.use_cache(tmp_path / "mine").parent == tmp_path / "mine"
-        assert jax.config.jax_compilation_cache_dir == str(tmp_path / "mine" / kept.machine())
-        jax.config.update("jax_enable_compilation_cache", False)
-        assert kept.use_cache(tmp_path / "other") is None and not (tmp_path / "other").exists()
-    finally:
-        jax.config.update("jax_enable_compilation_cache", True)
-        jax.config.update("jax_compilation_cache_dir", named)
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", least)
-        jax.experimental.compilation_cache.compilation_cache.reset_cache()
+    assert kept.use_cache() == named
+    assert kept.use_cache(tmp_path / "mine").parent == tmp_path / "mine"
+    assert jax.config.jax_compilation_cache_dir == str(tmp_path / "mine" / kept.machine())
+    jax.config.update("jax_enable_compilation_cache", False)
+    assert kept.use_cache(tmp_path / "other") is None and not (tmp_path / "other").exists()
 
 
 def test_the_oldest_makes_room_and_nothing_else_is_touched(tmp_path):

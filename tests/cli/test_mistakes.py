@@ -46,7 +46,7 @@ MISTAKES = [
     ("solve ur5 --q0 0 -90 90deg 0 0 0", "write a unit behind each number, or once at the end, apart"),
     ("solve two.urdf --tip right --task x --q0 90 deg", "joint 'b' is in m, and rad is given"),
     ("solve panda --target 0.3 0.1", "Option `--target` must have 3 or 7 numbers (x y z [m]", "but has 2."),
-    ("solve panda --target 300 0 400 --begin on-path", "millimetres are written with their unit."),
+    ("solve planar:1,1 --target 300 400 --begin on-path", "millimetres are written with their unit."),
     ("solve panda --task xyzz", "Option `--task` must be pose, position, orientation, or coordinates such as xy"),
     (
         "solve planar:1,1 --task pose",

@@ -70,12 +70,14 @@ def derived(fn, *args):
 
 def plain(fn, *args):
     """Results of the function as it stands, of a batch; `ck.solve` inside it runs as it stands, too."""
+    one, (leaves, treedef) = jax.jit(fn), jax.tree.flatten(args)  # a batch compiles for up to three times as long
     with use_engine("plain"):
-        return jax.jit(jax.vmap(fn))(*args)
+        rows = [one(*jax.tree.unflatten(treedef, row)) for row in zip(*leaves, strict=True)]
+    return jax.tree.map(lambda *each: np.stack(each), *rows)
 
 
 def check(fn, *args, ulps=4.0, each=False, signs=False, by=None, scalar_too=True, derived_too=True):
-    """Raises AssertionError where the engine's programs and `jax.vmap` of it, or of `by`, differ.
+    """Raises AssertionError where the engine's programs and JAX's of it, or of `by`, lane by lane, differ.
 
     Without a C compiler only the program that the engine writes for JAX is checked.
 
@@ -95,15 +97,17 @@ def check(fn, *args, ulps=4.0, each=False, signs=False, by=None, scalar_too=True
 def same(found, wanted, *, ulps=4.0, each=False, signs=False):
     """What `check` asserts, of two trees of arrays."""
     assert jax.tree.structure(found) == jax.tree.structure(wanted)
-    for a, b in zip(*(map(np.asarray, jax.tree.leaves(x)) for x in (found, wanted)), strict=True):
-        assert a.shape == b.shape and a.dtype == b.dtype, (a.shape, a.dtype, b.shape, b.dtype)
+    for (place, a), b in zip(jax.tree.leaves_with_path(found), jax.tree.leaves(wanted), strict=True):
+        a, b, which = np.asarray(a), np.asarray(b), jax.tree_util.keystr(place)
+        assert a.shape == b.shape and a.dtype == b.dtype, (which, a.shape, a.dtype, b.shape, b.dtype)
         if a.dtype.kind != "f":
-            np.testing.assert_array_equal(a, b)
+            np.testing.assert_array_equal(a, b, which)
             continue
         good = np.isfinite(b)
         if signs:
-            np.testing.assert_array_equal(np.signbit(a[b == 0]), np.signbit(b[b == 0]))
-        np.testing.assert_array_equal(np.where(good, 0, a), np.where(good, 0, b))
+            np.testing.assert_array_equal(np.signbit(a[b == 0]), np.signbit(b[b == 0]), which)
+        np.testing.assert_array_equal(np.where(good, 0, a), np.where(good, 0, b), which)
         size = np.abs(b[good]) if each else np.abs(b[good]).max(initial=0)
         off = np.abs(a[good] - b[good]) - ulps * np.finfo(a.dtype).eps * size - 2 * np.finfo(a.dtype).tiny
-        assert np.isfinite(a[good]).all() and (off <= 0).all(), (a[good][off.argmax()], b[good][off.argmax()])
+        near = np.isfinite(a[good]).all() and (off <= 0).all()
+        assert near, (which, a[good][off.argmax()], b[good][off.argmax()])

@@ -2,7 +2,6 @@
 
 import subprocess
 
-import jax
 import numpy as np
 import pytest
 
@@ -13,7 +12,7 @@ from cnclik.export.trace import Request
 from cnclik.export.write import configuration
 from tests import bank
 from tests.bank import told
-from tests.engine.compare import NEEDS_C
+from tests.engine.compare import NEEDS_C, plain
 from tests.export.native import arm, native
 from tests.oracles import close
 from tests.robot.test_trees import BAXTER, GRIPPERS
@@ -48,8 +47,7 @@ def by_jax(law, method, stage, given):
         moving = ck.causal(told(ck.hold(position), velocity))
         return ck.step(law, moving, q, 0.0, TS, method, stage)
 
-    with ck.use_engine("plain"):
-        return jax.jit(jax.vmap(one))(*given)
+    return plain(one, *given)
 
 
 def off(law, method, stage, dtype, wanted, given):

@@ -14,6 +14,7 @@ from cnclik.measure.dataset import to_dataset
 from cnclik.problem.build import problem_from
 from cnclik.robot.urdf import load_urdf
 from cnclik.show import motion, viewer
+from tests import bank
 from tests.oracles import robot_file
 
 if not viewer.has_viser():
@@ -26,9 +27,9 @@ HANDS = ["left_rubber_hand", "right_rubber_hand"]
 
 
 def moved(chain, q):
-    """The motion of a run that stays at q."""
-    law = ck.Law(chain, ck.joints(), alpha=1.0, inverse=ck.damped(0.1))
-    return motion.motion_of(to_dataset(ck.solve(law, ck.hold_at(chain, law.task, q), q, 0.01, 1, "EE"), law), chain)
+    """The motion of a robot that stays at q."""
+    data = SimpleNamespace(q=SimpleNamespace(values=q[None]))
+    return motion.Motion(chain, data, motion.link_poses(chain, q[None]), ())
 
 
 # --- motions --------------------------------------------------------------------------------------------
@@ -53,25 +54,26 @@ def test_a_motion_ends_before_what_is_not_finite(problem, run):
 
 def test_each_tip_has_a_path_and_a_target():
     """Also one that is seen from the other hand; a coordinate that nobody asks for is the tip's own."""
-    robot = load_urdf(robot_file("g1"), tips=HANDS)
+    robot = bank.robot("two arms")
+    hands = [tip.name for tip in robot.tips]
     task = ck.stack(
-        grip=ck.pose(tip=HANDS[1], relative_to=HANDS[0]),
-        box=ck.position("yz", tip=HANDS[0]),
+        grip=ck.pose(tip=hands[1], relative_to=hands[0]),
+        box=ck.position("yz", tip=hands[0]),
         rest=ck.joints(robot.joint_names[:1]),
     )
     law, q = ck.Law(robot, task, alpha=5.0, inverse=ck.damped(0.1)), np.full(robot.n, 0.3)
-    left = np.asarray(ck.forward(robot, q, tip=HANDS[0]).position)
+    left = np.asarray(ck.forward(robot, q, tip=hands[0]).position)
     paths = ck.hold_at(robot, task, q, box=ck.circle(left, 0.05, period=1.0, normal=[1, 0, 0]))
     run = ck.solve(law, paths, q + 0.02, 0.02, 20, "EE")
     made = motion.motion_of(to_dataset(run, law), robot)
-    for i, tip in enumerate(HANDS):
+    for i, tip in enumerate(hands):
         wanted = [ck.forward(robot, row, tip=tip).position for row in np.asarray(run.q)]
         np.testing.assert_allclose(made.paths[i], wanted, atol=1e-6)
     left, right = made.targets
     np.testing.assert_allclose(left[:, 0], made.paths[0][:, 0])
     circle = np.array([paths["box"].curve(t)[0] for t in np.asarray(run.t)])
     np.testing.assert_allclose(left[:, 1:], circle[:, 1:], atol=1e-6)
-    at, (place, _) = ck.forward(robot, np.asarray(run.q)[7], tip=HANDS[0]), paths["grip"].curve(0.0)
+    at, (place, _) = ck.forward(robot, np.asarray(run.q)[7], tip=hands[0]), paths["grip"].curve(0.0)
     np.testing.assert_allclose(right[7], at.position + at.rotation @ place, atol=1e-5)
     parts = [(task, unit) for task, unit, _ in motion.error_parts(made.data)]
     assert parts == [("grip", "m"), ("grip", "rad"), ("box", "m"), ("rest", "rad")]
