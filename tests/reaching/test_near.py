@@ -8,7 +8,7 @@ import pytest
 import cnclik as ck
 from cnclik import ReachStatus
 from cnclik.reaching import search
-from cnclik.reaching.starts import spans
+from cnclik.reaching.starts import spans, turned
 from cnclik.reaching.targets import wanted_at
 from tests import bank
 from tests.oracles import ARMS, robots
@@ -244,6 +244,16 @@ def test_starts_cover_the_limits_and_one_turn_of_a_wide_joint():
     pi = np.pi
     np.testing.assert_allclose(low, [-1, -pi, 1, -2 - 2 * pi, 1 - 2 * pi, 5, -pi])
     np.testing.assert_allclose(high, [2, pi, 1 + 2 * pi, -2, 1, 5 + 2 * pi, pi])
+
+
+def test_whole_turns_lead_to_the_nearest_place_within_the_range():
+    rng = np.random.default_rng(0)
+    q, about, low, high = rng.uniform([-20, -20, -9, 1], [20, 20, 0, 8], (500, 4)).T
+    every = q + 2 * np.pi * np.arange(-9, 10)[:, None]
+    away = np.where((every >= low) & (every <= high), abs(every - about), np.inf)
+    found, some = turned(q, about, True, low, high), np.isfinite(away).any(0)
+    np.testing.assert_allclose(found[some], every[away.argmin(0), np.arange(500)][some])
+    np.testing.assert_array_equal(turned(q, about, False, low, high), q)
 
 
 AXES = [[0, 0, 1], [1, 0, 0], [0, 1, 0], [1, 0, 0]]
