@@ -158,8 +158,9 @@ def fits(y, period):
     for lag, part in ((lag, part) for lag in LAGS for part in (0.0, 0.5)):
         A, b = polynomials(lag, part)
         lagged = filtered(A[2] ** np.arange(40 * lag + 1), whole)
-        for C, rule, moved in ((1, A, y), (2, [1.0, -A[2]], whole), (3, [1.0], lagged))[: 2 + (lag > 0)]:
-            start = [A[2] ** np.arange(rows)] * (C // 3)  # the time before the log decays as the lag
+        # C is 1, 1 − B or A: how many terms it has, A/C, and y/C
+        for terms, rule, moved in ((1, A, y), (2, [1.0, -A[2]], whole), (3, [1.0], lagged))[: 2 + (lag > 0)]:
+            start = [A[2] ** np.arange(rows)] * (terms // 3)  # the time before the log decays as the lag
             basis = np.pad(np.linalg.qr(np.column_stack([*start, path]))[0], ((0, 0), (1, 0)))  # 0: no path
             sizes = len(start) + np.array([size for size in PATHS if size <= path.shape[1]])
             left, acts = filtered(rule, y)[first:].T, filtered(b, moved)
@@ -175,7 +176,7 @@ def fits(y, period):
             for _ in range(3):  # columns weigh by what is left of them
                 z = -np.sum(both / v, 1) / np.sum(square / v, 1)
                 v = np.maximum(v0 + z[:, None] * (2 * both + z[:, None] * square), floor)
-            numbers = np.log(rows) * ((lag > 0) + (C > 1) + k * sizes)
+            numbers = np.log(rows) * ((lag > 0) + (terms > 1) + k * sizes)
             score = rows * np.sum(np.log(v), 1) + numbers + np.log(rows)
             none = min(none, np.min(rows * np.sum(np.log(v0), 0) + numbers))
             d, best = np.arange(most + 1), np.argmin(score, 1)

@@ -116,5 +116,6 @@ def from_rows(chain, task, rows) -> Reached:
     """Return the record of targets, or of solutions of each, from their rows (..., width)."""
     if isinstance(rows, np.ndarray):
         rows.flags.writeable = False
-    row = dict(zip(Row._fields[:-2], row_of(rows, chain.n), strict=False))  # cost and steep are the search's
+    row = row_of(rows, chain.n)._asdict()
+    del row["cost"], row["steep"]
     return Reached(chain=chain, task=task, **row | {"status": row["status"].astype(int)})

@@ -78,7 +78,11 @@ def winners(block, n, near, first, xp=np) -> tuple:
     if near:
         at_once = first & solved[..., 0] & (row.distance[..., 0] <= CLOSE)
         won = xp.where(at_once, 0, xp.argmin(xp.where(solved, row.distance, np.inf), axis=-1))
-    return xp.take_along_axis(block, won[..., None, None], -2)[..., 0, :], solved.any(axis=-1)
+    return _of_each(block, won, xp), solved.any(axis=-1)
+
+
+def _of_each(rows, index, xp):
+    return xp.take_along_axis(rows, index[..., None, None], -2)[..., 0, :]
 
 
 def wanted(asked, stage: Stage, row, far, why, xp=np):
@@ -103,7 +107,7 @@ def advanced(stage: Stage, found: Found, k, near, tried, block=None, xp=np) -> F
     both, island = xp.concatenate([block, again], axis=-2), xp.concatenate([island, island])
     rows, solved = winners(both, n, near is not None, (k[0] == 0) & uphill, xp)
     row = row_of(both, n)
-    nearest = xp.take_along_axis(both, xp.argmin(row.cost, axis=-1)[..., None, None], -2)[..., 0, :]
+    nearest = _of_each(both, xp.argmin(row.cost, axis=-1), xp)
     nearer = stage.downhill & (row_of(nearest, n).cost < row_of(found.rows, n).cost)
     rows = xp.where(solved[..., None], rows, xp.where(nearer[..., None], nearest, found.rows))
     mine = np.arange(ISLANDS)[:, None] == xp.concatenate([np.arange(ISLANDS), island])

@@ -85,7 +85,10 @@ def _binned(chain, task) -> Starts:
 
 
 def _poses(chain, every, postures):
-    """Return the poses (COUNT, 12) of each aim: number by number, so that zeros of the geometry cost nothing."""
+    """Return the poses (COUNT, 12) of each aim: number by number, so that zeros of the geometry cost nothing.
+
+    The chain has no free base and no ball joint, which `reach` refuses.
+    """
     model, tips = jax.tree.map(np.asarray, (modelled(chain), chain.tips))
     columns = [v[:, :3].mT.tolist() for v in model.transforms if v is not None]
     made = np.empty((len(every), WIDTH, COUNT))
@@ -178,7 +181,8 @@ def beginnings(k, near, xp=np) -> tuple:
 
     The first ABOUT begin about `near` (..., n), if any, each one farther off than the one before.
     """
-    return xp.nan if near is None else xp.where((k < ABOUT)[:, None], near[..., None, :], xp.nan), k / ABOUT
+    given = xp.nan if near is None else xp.where((k < ABOUT)[:, None], near[..., None, :], xp.nan)
+    return given, k / ABOUT
 
 
 def origins(k, downhill, near, places, costs, xp=np) -> tuple:

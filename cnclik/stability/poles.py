@@ -72,8 +72,11 @@ class ScalarLoop:
         """Return L(ζ) at points ζ (...) of the z-plane, opened at the drive's input: 1 + L(ζ) = 0 at all poles."""
         zeta = np.asarray(zeta, complex)
         motion, drive = self._transfer(zeta), self.drive
-        kept = drive.kept(self.Ts) if drive.filters in ("error", "command") else 0.0
-        average = (1 - kept) / (1 - kept / zeta)
+        if drive.filters in ("error", "command"):
+            kept = drive.kept(self.Ts)
+            average = (1 - kept) / (1 - kept / zeta)
+        else:
+            average = 1.0
         if drive.feedback == "rebased":
             through = motion * (average if drive.filters == "command" else 1.0)
             return (s * (average if drive.filters == "error" else 1.0) - 1.0) * through
