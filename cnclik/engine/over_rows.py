@@ -167,7 +167,7 @@ def moved(g, eqn, x):
     size = x.cells.size
     numbers = np.asarray(MOVES[eqn.primitive.name](np.arange(N * size).reshape(x.shape), **eqn.params))
     here = numbers.reshape(N, -1) - size * np.arange(N)[:, None]
-    if not here.size or not (here == here[0]).all() or here.min() < 0 or here.max() >= size:
+    if not here.size or not (here == here[0]).all():  # then no row reaches into another: neither the first nor the last
         return None
     flat = x.cells.reshape(-1)
     return [Rows(array_of([flat[i] for i in here[0]], out.shape[1:]), N)]

@@ -31,6 +31,7 @@ ARRIVED = 1e-3  # of the first error: a loop whose error stays below has settled
 GROWN = 1.2  # ratio of two quarters' errors or swings from which on they grow; at its inverse a swing comes to rest
 LARGE = 4.0  # a path's own errors differ by less from quarter to quarter
 TURNS = 4  # reversals of a motion in a quarter of the run from which on it swings: two whole periods
+MOVES = 0.1  # of the error: one that swings by more does not stay
 VISIBLE = 1e-5  # of 1 + the arm's length [m, rad]: a smaller swing of the error is not seen
 REVERSING = 0.15  # share of the joint speed that the next step reverses, from which on a loop shakes
 NOISE = 4.0  # an error below so many standard deviations is noise
@@ -159,6 +160,8 @@ class _Case:
         if self.shrinks():
             left = self.error / self.peak(self.before)
             return Behaviour.TOO_SHORT, f"{said}, {100 * left:.2g} % of that in the quarter before", NO_REMEDY
+        if seen and swing > MOVES * self.error:
+            return Behaviour.TOO_SHORT, f"{said}, and still changes", self.unstable()
         why = "its tasks contradict each other there" if self.law.task.tasks else "the run does not show by what"
         return Behaviour.HELD_BACK, f"{why}; {said} and stays", self.unstable()
 

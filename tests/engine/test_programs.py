@@ -117,6 +117,16 @@ def test_the_gradient_of_joined_rows_stays_a_loop():
     assert program.operations < 300 and program.work < 10 * 300 * 8 * program.lanes  # 9 numbers are kept of a round
 
 
+def test_the_end_of_a_loop_behind_what_it_stacks_is_no_new_array():
+    def fn(q, path):
+        end, qs, _ = track(q, path)
+        return jnp.append(qs[:-1], end[None], 0), jnp.append(qs[:3], qs[3:9], 0), jnp.append(qs[:3], qs[4:9], 0)
+
+    avals = [jax.ShapeDtypeStruct(shape, float) for shape in ((3,), (300, 3))]
+    whole, some, apart = read(trace(fn, avals).closed)[2]
+    assert [{cell.op for cell in rows.cells} for rows in (whole, some, apart)] == [{"stacked"}, {"slid"}, {"joined"}]
+
+
 def test_moves_along_time():
     def fn(x, q):
         y = jnp.cumsum(jnp.sin(x), 0)

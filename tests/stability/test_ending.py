@@ -55,6 +55,15 @@ def test_a_loop_through_drives(factor, drive):
         assert said.change == {"alpha": ck.gains(Ts=0.02, drive=drive).recommended}
 
 
+def test_fewer_than_two_swings_in_a_quarter_are_neither_a_swing_nor_rest():
+    """Just above the largest stable gain; in a run a little longer a quarter has its fourth reversal."""
+    drive = Drive(delay=3)
+    alpha = 1.02 * ck.gains(Ts=0.02, drive=drive).largest_stable
+    short, long = (judge(planar(alpha), NEAR, Q5, 0.02, N, "EXP-MIDPOINT", drive) for N in (144, 160))
+    assert (short.kind, long.kind) == ("too short to tell", "swinging") and "and still changes" in short.sentence
+    assert short.change["alpha"] == pytest.approx(long.change["alpha"], rel=1e-9)
+
+
 def test_a_wall_comes_before_anything_else():
     """The wall holds in 157 of 400 steps, and lets the tip go again before the end."""
     wall = ck.wall(ck.position("y"), below=float(P3[1]) - 0.05, name="ceiling")

@@ -157,7 +157,7 @@ def main():
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--first", type=int, default=0, help="number of the first")
     parser.add_argument("--seed", default=time.strftime("%Y-%m-%d"), help="by default the date")
-    parser.add_argument("--seconds", type=int, default=100, help="of the processor, for the tests of a mutant")
+    parser.add_argument("--seconds", type=int, default=200, help="of the processor, for the tests of a mutant")
     args = parser.parse_args()
     survived = 0
     with tempfile.TemporaryDirectory() as folder:
