@@ -29,9 +29,10 @@ from cnclik.task.parts import Joints
 
 ARRIVED = 1e-3  # of the first error: a loop whose error stays below has settled, as in `outcome`
 GROWN = 1.2  # ratio of two quarters' errors or swings from which on they grow; at its inverse a swing comes to rest
-LARGE = 4.0  # a path's own errors differ by less from quarter to quarter
+LARGE = 4.0  # errors of a path, or by noise, differ by less from quarter to quarter
 TURNS = 4  # reversals of a motion in a quarter of the run from which on it swings: two whole periods
 MOVES = 0.1  # of the error: one that swings by more does not stay
+BESIDE = 0.25  # of the way of a target: with an unstable gain an error that is larger is not called following
 VISIBLE = 1e-5  # of 1 + the arm's length [m, rad]: a smaller swing of the error is not seen
 REVERSING = 0.15  # share of the joint speed that the next step reverses, from which on a loop shakes
 NOISE = 4.0  # an error below so many standard deviations is noise
@@ -125,6 +126,7 @@ class _Case:
         self.alpha = np.broadcast_to(np.asarray(law.alpha, float), (task.m,))
         self.most = np.array(law.chain.velocity_limit, float)
         self.size = np.linalg.norm(self.e[:, self.counted], axis=1)
+        self.apart = LARGE if sigma else GROWN
         self.error = self.peak(self.last) if self.finite.all() else np.inf
 
     def verdict(self) -> Verdict:
@@ -145,14 +147,20 @@ class _Case:
         swing, before, turns = self.swing()
         seen = swing > max(VISIBLE * (1 + self.length), NOISE * self.sigma) and not self.arrived()
         swings = seen and (self.shakes() or (turns >= TURNS and swing >= before / GROWN))
+        moves = self.still and seen and swing > MOVES * self.error and not swings
         held, grows = self.held(), self.grows()
-        if held and (self.still or not grows or self.unreachable):
+        unstable = bool((swings or grows) and self.advice is not None and self.advice.unstable)  # whatever else acts
+        if held and not unstable and (self.still or not grows or self.unreachable):
+            if moves:
+                return Behaviour.TOO_SHORT, f"{held}; {said}, and still changes", self.unstable()
             also = "; it swings" * bool(swings)
             return Behaviour.HELD_BACK, f"{held}; {said}{also}", self.more_damping() if swings else NO_REMEDY
-        if grows or (swings and swing > GROWN * before and before > self.floor):
+        if grows or (swings and swing > self.apart * before and before > self.floor):
             return Behaviour.GROWING, said, self.lower_gain()
         if swings:
             return Behaviour.SWINGING, said, self.lower_gain()
+        if not self.still and self.advice is not None and self.advice.unstable and self.error > BESIDE * self.way():
+            return Behaviour.TOO_SHORT, said, self.unstable()
         if not self.still:
             return Behaviour.FOLLOWING, said + (self.lag() if self.error > self.floor else ""), self.unstable()
         if self.arrived():
@@ -160,7 +168,7 @@ class _Case:
         if self.shrinks():
             left = self.error / self.peak(self.before)
             return Behaviour.TOO_SHORT, f"{said}, {100 * left:.2g} % of that in the quarter before", NO_REMEDY
-        if seen and swing > MOVES * self.error:
+        if moves:
             return Behaviour.TOO_SHORT, f"{said}, and still changes", self.unstable()
         why = "its tasks contradict each other there" if self.law.task.tasks else "the run does not show by what"
         return Behaviour.HELD_BACK, f"{why}; {said} and stays", self.unstable()
@@ -179,12 +187,18 @@ class _Case:
         return self.peak(self.last, some) < STALL_RATIO * self.peak(self.before, some)
 
     def grows(self) -> bool:
-        """Whether the errors of the last quarter are larger than those before."""
+        """Whether the errors of the last quarter are larger than those before, or than the first, or their path."""
         usual, before = (np.median(self.size[part]) for part in (self.last, self.before))
-        grown = usual > GROWN * before and self.error > max(self.peak(self.before), self.floor)
+        least = max(self.floor, NOISE * self.sigma)
+        grown = usual > self.apart * before and self.error > max(self.peak(self.before), least)
         if self.still:
-            return grown or usual > GROWN * max(self.size[0], self.floor)
-        return grown and usual > LARGE * max(np.median(self.size[: self.last.start]), self.floor)
+            return grown or usual > GROWN * max(self.size[0], least)
+        farther = self.error > max(self.size[0], self.way(), least)
+        return farther or (grown and usual > LARGE * max(np.median(self.size[: self.last.start]), least))
+
+    def way(self) -> float:
+        """How far the target comes."""
+        return float(np.linalg.norm(np.ptp((self.x + self.e)[:, self.counted], axis=0)))
 
     def swing(self):
         """(largest swing in the last quarter, that in the quarter before, reversals beside those of the path)."""
