@@ -31,7 +31,7 @@ ARRIVED = 1e-3  # of the first error: a loop whose error stays below has settled
 GROWN = 1.2  # ratio of two quarters' errors or swings from which on they grow; at its inverse a swing comes to rest
 LARGE = 4.0  # errors of a path, or by noise, differ by less from quarter to quarter
 TURNS = 4  # reversals of a motion in a quarter of the run from which on it swings: two whole periods
-MOVES = 0.1  # of the error: one that swings by more does not stay
+MOVES = 0.1  # of the error: one that swings by more, or is elsewhere than in the quarter before, does not stay
 BESIDE = 0.25  # of the way of a target: with an unstable gain an error that is larger is not called following
 VISIBLE = 1e-5  # of 1 + the arm's length [m, rad]: a smaller swing of the error is not seen
 REVERSING = 0.15  # share of the joint speed that the next step reverses, from which on a loop shakes
@@ -118,7 +118,8 @@ class _Case:
         self.finite = np.isfinite(self.e).all(1) & np.isfinite(self.q).all(1)
         self.N, self.length, self.still = len(self.qdot), arm_length(law.chain), bool(reference.still)
         quarter = max(self.N // 4, 1)
-        self.last, self.before = slice(-quarter, None), slice(-2 * quarter, -quarter)  # two quarters of the run
+        self.last, self.before = slice(-quarter, None), slice(-2 * quarter, -quarter)  # quarters of the run
+        self.earlier = slice(-3 * quarter, -2 * quarter)
         self.floor = 64 * np.finfo(dtype).eps * (1 + self.length)  # what rounding of q makes of an error
         task = law.task  # of which a posture that yields is no error
         tips = [at for name, at in task.each if not all(isinstance(part, Joints) for part in task.alone(name).parts)]
@@ -127,6 +128,7 @@ class _Case:
         self.most = np.array(law.chain.velocity_limit, float)
         self.size = np.linalg.norm(self.e[:, self.counted], axis=1)
         self.apart = LARGE if sigma else GROWN
+        self.above = advice is not None and bool(advice.unstable)  # a gain is above the largest stable one
         self.error = self.peak(self.last) if self.finite.all() else np.inf
 
     def verdict(self) -> Verdict:
@@ -147,9 +149,11 @@ class _Case:
         swing, before, turns = self.swing()
         seen = swing > max(VISIBLE * (1 + self.length), NOISE * self.sigma) and not self.arrived()
         swings = seen and (self.shakes() or (turns >= TURNS and swing >= before / GROWN))
-        moves = self.still and seen and swing > MOVES * self.error and not swings
+        drift = np.linalg.norm((self.e[self.last].mean(0) - self.e[self.before].mean(0))[self.counted])
+        changes = max(swing * seen, drift) > MOVES * self.error
+        moves = self.still and changes and not swings
         held, grows = self.held(), self.grows()
-        unstable = bool((swings or grows) and self.advice is not None and self.advice.unstable)  # whatever else acts
+        unstable = self.above and (swings or grows)  # whatever else acts
         if held and not unstable and (self.still or not grows or self.unreachable):
             if moves:
                 return Behaviour.TOO_SHORT, f"{held}; {said}, and still changes", self.unstable()
@@ -158,8 +162,9 @@ class _Case:
         if grows or (swings and swing > self.apart * before and before > self.floor):
             return Behaviour.GROWING, said, self.lower_gain()
         if swings:
-            return Behaviour.SWINGING, said, self.lower_gain()
-        if not self.still and self.advice is not None and self.advice.unstable and self.error > BESIDE * self.way():
+            cause = self.cause() if self.still and not unstable else ""
+            return Behaviour.SWINGING, "; ".join(filter(None, [cause, said])), self.lower_gain()
+        if not self.still and self.above and self.beside() > BESIDE:
             return Behaviour.TOO_SHORT, said, self.unstable()
         if not self.still:
             return Behaviour.FOLLOWING, said + (self.lag() if self.error > self.floor else ""), self.unstable()
@@ -187,18 +192,21 @@ class _Case:
         return self.peak(self.last, some) < STALL_RATIO * self.peak(self.before, some)
 
     def grows(self) -> bool:
-        """Whether the errors of the last quarter are larger than those before, or than the first, or their path."""
-        usual, before = (np.median(self.size[part]) for part in (self.last, self.before))
+        """Whether errors grow from quarter to quarter, or have become larger than the first one, or than their path."""
+        last, before, earlier = (np.median(self.size[part]) for part in (self.last, self.before, self.earlier))
         least = max(self.floor, NOISE * self.sigma)
-        grown = usual > self.apart * before and self.error > max(self.peak(self.before), least)
-        if self.still:
-            return grown or usual > GROWN * max(self.size[0], least)
-        farther = self.error > max(self.size[0], self.way(), least)
-        return farther or (grown and usual > LARGE * max(np.median(self.size[: self.last.start]), least))
+        grown = last > self.apart * before and self.error > max(self.peak(self.before), least)
+        if self.still:  # one that passes its target has a small quarter before its largest swing
+            more = last > GROWN * max(self.size[0], least) and (self.above or not self.shrinks())
+            return more or (grown and before > earlier)
+        farther = self.error > max(self.size[0], least) and self.beside() > 1
+        return farther or (grown and last > LARGE * max(np.median(self.size[: self.last.start]), least))
 
-    def way(self) -> float:
-        """How far the target comes."""
-        return float(np.linalg.norm(np.ptp((self.x + self.e)[:, self.counted], axis=0)))
+    def beside(self) -> float:
+        """The largest error of lengths over the way of their target; 0 without lengths."""
+        lengths = list(self.law.task.lengths)
+        way = np.linalg.norm(np.ptp((self.x + self.e)[:, lengths], axis=0))
+        return self.peak(self.last, lengths) / max(way, self.floor) if lengths else 0.0
 
     def swing(self):
         """(largest swing in the last quarter, that in the quarter before, reversals beside those of the path)."""
@@ -337,7 +345,7 @@ class _Case:
 
     def unstable(self) -> tuple[dict, str]:
         """The recommended gain, of a run that is calm with a gain above the largest stable one."""
-        if self.advice is None or not self.advice.unstable:
+        if not self.above:
             return NO_REMEDY
         change, words = self.lower_gain()
         high = f"with {', '.join(self.advice.unstable)} above the largest stable gain a disturbance may grow"

@@ -65,29 +65,46 @@ def test_fewer_than_two_swings_in_a_quarter_are_neither_a_swing_nor_rest():
 
 
 FAST = ck.circle(P3 - np.array([0, 0.1]), 0.1, period=4.0)
-SLOW, LATE = Drive(delay=1, lag=0.1), Drive(delay=2.5)
+QUICK = ck.circle(P3 - np.array([0, 0.3]), 0.3, period=1.5)
+SLOW, LATE, FILTERED = Drive(delay=1, lag=0.1), Drive(delay=2.5), Drive(lag=0.05, smoothing=0.8)
 
 
 @pytest.mark.parametrize(
-    ("drive", "factor", "reference", "limits", "sigma", "kind"),
+    ("drive", "factor", "reference", "limits", "sigma", "N", "kind"),
     [
-        (SLOW, 0.6, ck.hold(P3), None, 1e-3, "settled"),  # noise alone: its first error is none
-        (SLOW, 0.6, ck.hold(P3 - [0.05, -0.05]), None, 1e-3, "settled"),  # 1.2 times the errors of the quarter before
-        (LATE, 1.03, FAST, None, 0.0, "growing"),  # to 0.8 m beside a circle of 0.1 m
-        (LATE, 1.5, ck.hold(P3 + 0.05), ck.velocity_scaling(), 0.0, "growing"),  # the velocity limit acts for long
-        (LATE, 1.03, ck.hold(P3 - [0.9, 1.1]), None, 0.0, "growing"),  # to 4 m; 83 mm are out of reach
-        (LATE, 0.3, ck.hold(P3 - [0.9, 1.1]), ck.bounded(), 0.0, "held back"),
+        (SLOW, 0.6, ck.hold(P3), None, 1e-3, 480, "settled"),  # noise alone: its first error is none
+        (
+            SLOW,
+            0.6,
+            ck.hold(P3 - [0.05, -0.05]),
+            None,
+            1e-3,
+            480,
+            "settled",
+        ),  # 1.2 times the errors of the quarter before
+        (LATE, 1.03, FAST, None, 0.0, 480, "growing"),  # to 0.8 m beside a circle of 0.1 m
+        (LATE, 1.5, ck.hold(P3 + 0.05), ck.velocity_scaling(), 0.0, 480, "growing"),  # the velocity limit acts for long
+        (LATE, 1.03, ck.hold(P3 - [0.9, 1.1]), None, 0.0, 480, "growing"),  # to 4 m; 83 mm are out of reach
+        (LATE, 1.5, QUICK, None, 0.0, 40, "too short to tell"),  # it does not follow, and has not grown yet
+        (FILTERED, 0.1, ck.hold(P3 - [0.05, -0.05]), None, 0.0, 40, "too short to tell"),  # it passes its target once
+        (LATE, 0.3, ck.hold(P3 - [0.9, 1.1]), ck.bounded(), 0.0, 480, "held back"),
     ],
 )
 def test_an_unstable_gain_comes_before_limits_and_reach_and_noise_is_no_growth(
-    drive, factor, reference, limits, sigma, kind
+    drive, factor, reference, limits, sigma, N, kind
 ):
     gains = ck.gains(Ts=0.02, drive=drive)
     law = ck.Law(THREE, XY, alpha=factor * gains.largest_stable, inverse=ck.damped(0.05), limits=limits)
-    noise = sigma * np.random.default_rng(0).standard_normal((480, 2))
-    run = ck.solve(law, reference, Q3, 0.02, 480, drive=drive, noise=noise)
+    noise = sigma * np.random.default_rng(0).standard_normal((N, 2))
+    run = ck.solve(law, reference, Q3, 0.02, N, drive=drive, noise=noise)
     said = verdict(law, reference, run, drive=drive, noise=sigma)
     assert said.kind == kind and (kind != "growing" or said.change == {"alpha": gains.recommended}), said
+
+
+def test_a_swing_that_comes_to_rest_names_what_is_out_of_reach_too():
+    law = ck.Law(THREE, XY, alpha=97.0, inverse=ck.damped(0.05), limits=ck.velocity_scaling())
+    said = judge(law, ck.hold(P3 - [0.9, 1.1]), Q3, 0.02, 40, "EXP-MIDPOINT")
+    assert said.kind == "swinging" and "83.2 mm away" in said.sentence
 
 
 def test_a_wall_comes_before_anything_else():
