@@ -156,8 +156,7 @@ def by_shift(rows, shift) -> Factored:
         return lax.stop_gradient(_ROUNDINGS * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
 
     if jnp.ndim(shift):  # each alone, as raised together the lower levels would hardly move
-        most = jnp.maximum(shift, rounding(jnp.sum(rows**2)))
-        shift = jnp.maximum(shift, rounding(jnp.sum(scaled(rows, most) ** 2)))
+        shift = jnp.maximum(shift, rounding(jnp.sum(scaled(rows, shift) ** 2)))
     even = scaled(rows, shift)
     wide = even if m <= n else even.T[::-1]  # the smaller form; the last joints first: a tree causes no fill-in
     gram = wide @ wide.T

@@ -166,7 +166,7 @@ def gains(*, Ts: Number, drive: Drive | None = None, method: MethodLike = DEFAUL
 
 
 def _gains(shares, Ts, method, M, drive, assumed) -> Gains:
-    stable, smooth, recommended = (share and gain_removing(share, method, M) / Ts for share in shares)
+    stable, smooth, recommended = (gain_removing(share, method, M) / Ts for share in shares)
     return Gains(stable, smooth, min(recommended, MOST_Z / Ts), Ts, method, M, drive, assumed, shares)
 
 

@@ -140,13 +140,16 @@ def test_damping_below_rounding_is_no_division_by_zero(dtype):
         assert np.all(missed <= 2 * max(damping, 20 * eps**0.5) * (1 + np.linalg.norm(t, axis=1)))
 
 
-def test_levels_below_rounding_leave_the_others_as_they_are():
+@pytest.mark.parametrize("scale", [1.0, 1e3])
+def test_levels_below_rounding_leave_the_others_as_they_are(scale):
+    """Also where the lower ones are in millimetres."""
     m = 9
     task = ck.stack(a=ck.joints(list("bcd")), b=ck.joints(list("bcdefghij")[: m - 3]))
-    made = ck.levels(["a"], ["b"], damping=(1e-5, 0.1)).on(task)
+    made = ck.levels(["a"], ["b"], damping=(1e-5, 0.1 * scale)).on(task)
     j, t = matrices(m, 7)[0], np.random.default_rng(5).normal(size=m)
+    j[3:], t[3:] = scale * j[3:], scale * t[3:]
     narrow, _ = apply(jax.tree.map(np.float32, made), j.astype(np.float32), t.astype(np.float32))
-    d = np.array([1e-10] * 3 + [0.01] * (m - 3))
+    d = np.array([1e-10] * 3 + [0.01 * scale**2] * (m - 3))
     close(narrow, j.T @ np.linalg.solve(j @ j.T + np.diag(d), t), atol=3e-3)
 
 

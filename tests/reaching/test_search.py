@@ -60,13 +60,15 @@ def test_the_statuses_of_xla_and_of_a_trace_are_those_of_c(near):
         np.testing.assert_allclose(whole.position_error[gone], made.position_error[gone], rtol=0.02, atol=2e-3)
 
 
-def test_limits_may_be_an_array_within_a_program():
+def test_limits_may_be_an_array_within_a_program_of_float32():
     """What is missed is by the law of cosines. That weights are tiny changes no status."""
     arm, task = ck.planar_arm([1.0, 0.4]), ck.replace(ck.position("xy"), weights=[1e-8] * 2)
     arrays = ck.replace(arm, lower=jnp.array([-1.9, -2.0]), upper=np.array([2.0, 2.0]))
     radius, nearest = np.array([1.1, 1.6, 0.75, 0.2]), np.sqrt(1 + 0.4**2 + 2 * 0.4 * np.cos(2.0))
     targets = radius[:, None] * [np.sin(0.3), np.cos(0.3)]
-    made = jax.jit(jax.vmap(lambda t: ck.reach(arrays, t, task=task)))(targets)
+    with jax.enable_x64(False):
+        made = jax.jit(jax.vmap(lambda t: ck.reach(arrays, t, task=task)))(targets)
+    assert made.q.dtype == np.float32 and np.all(np.asarray(made.position_error)[0] < 1e-5)
     assert made.status.tolist() == [0, ReachStatus.OUT_OF_REACH, ReachStatus.AT_LIMIT, ReachStatus.OUT_OF_REACH]
     np.testing.assert_allclose(made.position_error, [0, 0.2, nearest - 0.75, nearest - 0.2], atol=1e-6)
 
