@@ -65,6 +65,7 @@ def test_fewer_than_two_swings_in_a_quarter_are_neither_a_swing_nor_rest():
 
 
 FAST = ck.circle(P3 - np.array([0, 0.1]), 0.1, period=4.0)
+ASIDE, FAR = ck.hold(P3 - [0.05, -0.05]), ck.hold(P3 - [0.9, 1.1])  # 83 mm out of reach
 QUICK = ck.circle(P3 - np.array([0, 0.3]), 0.3, period=1.5)
 SLOW, LATE, FILTERED = Drive(delay=1, lag=0.1), Drive(delay=2.5), Drive(lag=0.05, smoothing=0.8)
 
@@ -73,21 +74,13 @@ SLOW, LATE, FILTERED = Drive(delay=1, lag=0.1), Drive(delay=2.5), Drive(lag=0.05
     ("drive", "factor", "reference", "limits", "sigma", "N", "kind"),
     [
         (SLOW, 0.6, ck.hold(P3), None, 1e-3, 480, "settled"),  # noise alone: its first error is none
-        (
-            SLOW,
-            0.6,
-            ck.hold(P3 - [0.05, -0.05]),
-            None,
-            1e-3,
-            480,
-            "settled",
-        ),  # 1.2 times the errors of the quarter before
+        (SLOW, 0.6, ASIDE, None, 1e-3, 480, "settled"),  # 1.2 times the errors of the quarter before
         (LATE, 1.03, FAST, None, 0.0, 480, "growing"),  # to 0.8 m beside a circle of 0.1 m
         (LATE, 1.5, ck.hold(P3 + 0.05), ck.velocity_scaling(), 0.0, 480, "growing"),  # the velocity limit acts for long
-        (LATE, 1.03, ck.hold(P3 - [0.9, 1.1]), None, 0.0, 480, "growing"),  # to 4 m; 83 mm are out of reach
+        (LATE, 1.03, FAR, None, 0.0, 480, "growing"),  # to 4 m
         (LATE, 1.5, QUICK, None, 0.0, 40, "too short to tell"),  # it does not follow, and has not grown yet
-        (FILTERED, 0.1, ck.hold(P3 - [0.05, -0.05]), None, 0.0, 40, "too short to tell"),  # it passes its target once
-        (LATE, 0.3, ck.hold(P3 - [0.9, 1.1]), ck.bounded(), 0.0, 480, "held back"),
+        (FILTERED, 0.1, ASIDE, None, 0.0, 40, "too short to tell"),  # it passes its target once
+        (LATE, 0.3, FAR, ck.bounded(), 0.0, 480, "held back"),
     ],
 )
 def test_an_unstable_gain_comes_before_limits_and_reach_and_noise_is_no_growth(
@@ -103,7 +96,7 @@ def test_an_unstable_gain_comes_before_limits_and_reach_and_noise_is_no_growth(
 
 def test_a_swing_that_comes_to_rest_names_what_is_out_of_reach_too():
     law = ck.Law(THREE, XY, alpha=97.0, inverse=ck.damped(0.05), limits=ck.velocity_scaling())
-    said = judge(law, ck.hold(P3 - [0.9, 1.1]), Q3, 0.02, 40, "EXP-MIDPOINT")
+    said = judge(law, FAR, Q3, 0.02, 40, "EXP-MIDPOINT")
     assert said.kind == "swinging" and "83.2 mm away" in said.sentence
 
 
