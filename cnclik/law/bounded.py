@@ -182,10 +182,14 @@ def descent(of: Problem, start, passes) -> Pass:
     """
     hessian, eps, walled = of.hessian(), jnp.finfo(start.dtype).eps, len(of.walls.floor) > 0
     per_size, tolerance = 1.0 / jnp.diagonal(hessian), 1e-10 if eps < 1e-10 else 2e-5
+    asked = jnp.abs(of.w) @ jnp.abs(of.b)
 
     def reached(qdot, slope, held, passes, push):
         goes = jnp.abs(of.clip(qdot + of.pushed(slope, push) * per_size) - qdot)
-        settled = jnp.max(goes) <= tolerance * (jnp.max(jnp.abs(qdot)) + eps * eps)
+        sizes = (
+            asked + push @ jnp.abs(of.walls.rows) if walled else asked
+        )  # of forces that cancel, and leave a rounding
+        settled = jnp.all(goes <= tolerance * (jnp.max(jnp.abs(qdot)) + eps * eps) + 4 * eps * per_size * sizes)
         return Pass(qdot, slope, held, settled, passes, push)
 
     def one(at: Pass) -> Pass:

@@ -95,6 +95,18 @@ def test_it_is_the_least_behind_walls(damping):
     assert 0.1 < np.mean(np.abs(room) < 1e-9) < 0.9
 
 
+def test_an_arm_at_rest_on_a_wall_has_arrived_in_float32(monkeypatch):
+    """As users compile: of what rounding leaves of large forces that cancel, one step in eighty was said to be none."""
+    monkeypatch.setenv("CFLAGS", "-O2")
+    arm = ck.replace(ck.planar_arm([0.5, 0.4, 0.3]), velocity_limit=(2.0,) * 3)
+    limits = ck.bounded(walls=[ck.wall(ck.position("y"), above=0.2)])
+    law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.02), limits=limits)
+    q0, x = np.array([0.3, 0.9, -0.4], np.float32), np.linspace(-0.2, 0.8, 16).astype(np.float32)
+    run = ck.lanes(lambda x: ck.solve(law, ck.hold((x, -0.3)), q0, 0.01, 200))(x)
+    assert run.q.dtype == np.float32 and np.min(run.walls) > -1e-5
+    assert not np.any(run.status & (ck.Status.NOT_CONVERGED | ck.Status.WALLS_CONTRADICT))
+
+
 def test_a_wall_that_is_passed_and_that_no_joint_moves_changes_nothing():
     drawn, walls, floor = problems("panda", 100, seed=1)
     still, without = ~walls.any(axis=2), next(made_of(0.05, drawn, walls, floor))
