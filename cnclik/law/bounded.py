@@ -186,9 +186,7 @@ def descent(of: Problem, start, passes) -> Pass:
 
     def reached(qdot, slope, held, passes, push):
         goes = jnp.abs(of.clip(qdot + of.pushed(slope, push) * per_size) - qdot)
-        sizes = (
-            asked + push @ jnp.abs(of.walls.rows) if walled else asked
-        )  # of forces that cancel, and leave a rounding
+        sizes = asked + push @ jnp.abs(of.walls.rows) if walled else asked  # forces cancel, but for roundings
         settled = jnp.all(goes <= tolerance * (jnp.max(jnp.abs(qdot)) + eps * eps) + 4 * eps * per_size * sizes)
         return Pass(qdot, slope, held, settled, passes, push)
 
