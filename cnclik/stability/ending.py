@@ -127,7 +127,7 @@ class _Case:
         self.alpha = np.broadcast_to(np.asarray(law.alpha, float), (task.m,))
         self.most = np.array(law.chain.velocity_limit, float)
         self.size = np.linalg.norm(self.e[:, self.counted], axis=1)
-        self.apart = LARGE if sigma else GROWN
+        self.least, self.apart = max(self.floor, NOISE * sigma), LARGE if sigma else GROWN  # of errors that count
         self.above = advice is not None and bool(advice.unstable)  # a gain is above the largest stable one
         self.error = self.peak(self.last) if self.finite.all() else np.inf
 
@@ -153,8 +153,8 @@ class _Case:
         changes = max(swing * seen, drift) > MOVES * self.error
         moves = self.still and changes and not swings
         held, grows = self.held(), self.grows()
-        unstable = self.above and (swings or grows)  # whatever else acts
-        if held and not unstable and (self.still or not grows or self.unreachable):
+        too_large = self.above and (swings or grows)  # a gain, whatever else acts
+        if held and not too_large and (self.still or not grows or self.unreachable):
             if moves:
                 return Behaviour.TOO_SHORT, f"{held}; {said}, and still changes", self.unstable()
             also = "; it swings" * bool(swings)
@@ -162,11 +162,11 @@ class _Case:
         if grows or (swings and swing > self.apart * before and before > self.floor):
             return Behaviour.GROWING, said, self.lower_gain()
         if swings:
-            cause = self.cause() if self.still and not unstable else ""
+            cause = self.cause() if self.still and not too_large else ""
             return Behaviour.SWINGING, "; ".join(filter(None, [cause, said])), self.lower_gain()
-        if not self.still and self.above and self.beside() > BESIDE:
-            return Behaviour.TOO_SHORT, said, self.unstable()
         if not self.still:
+            if self.above and self.beside() > BESIDE:
+                return Behaviour.TOO_SHORT, said, self.unstable()
             return Behaviour.FOLLOWING, said + (self.lag() if self.error > self.floor else ""), self.unstable()
         if self.arrived():
             return Behaviour.SETTLED, said, self.unstable()
@@ -185,7 +185,7 @@ class _Case:
     def arrived(self, some=None) -> bool:
         """Whether the last quarter's errors are a small part of the first one, rounding or noise."""
         small = ARRIVED * self.still * self.peak([0], some)
-        return self.peak(self.last, some) <= max(small, self.floor, NOISE * self.sigma)
+        return self.peak(self.last, some) <= max(small, self.least)
 
     def shrinks(self, some=None) -> bool:
         """Whether the errors still become smaller."""
@@ -194,13 +194,12 @@ class _Case:
     def grows(self) -> bool:
         """Whether errors grow from quarter to quarter, or have become larger than the first one, or than their path."""
         last, before, earlier = (np.median(self.size[part]) for part in (self.last, self.before, self.earlier))
-        least = max(self.floor, NOISE * self.sigma)
-        grown = last > self.apart * before and self.error > max(self.peak(self.before), least)
+        grown = last > self.apart * before and self.error > max(self.peak(self.before), self.least)
         if self.still:  # one that passes its target has a small quarter before its largest swing
-            more = last > GROWN * max(self.size[0], least) and (self.above or not self.shrinks())
+            more = last > GROWN * max(self.size[0], self.least) and (self.above or not self.shrinks())
             return more or (grown and before > earlier)
-        farther = self.error > max(self.size[0], least) and self.beside() > 1
-        return farther or (grown and last > LARGE * max(np.median(self.size[: self.last.start]), least))
+        farther = self.error > max(self.size[0], self.least) and self.beside() > 1
+        return farther or (grown and last > LARGE * max(np.median(self.size[: self.last.start]), self.least))
 
     def beside(self) -> float:
         """The largest error of lengths over the way of their target; 0 without lengths."""

@@ -79,7 +79,7 @@ def test_a_causal_step_sees_the_targets_start_alone():
     velocity, e = np.array([0.5, 0.25]), np.array([0.1, 1.6]) - q
 
     def ends(by):
-        """Return the ends of causal steps, of others, and of one that is told a velocity."""
+        """Return where steps end: causal ones, ones that know the path, and one that is told a velocity."""
         bent = ck.path(lambda t: jnp.stack([0.1 + 0.3 * t + by * t**2, 1.6 - 0.1 * t - 3 * by * t**2]))
         made = [(path, name) for path in (ck.causal(bent), bent) for name in ("MIDPOINT", "EXP-MIDPOINT")]
         made += [(ck.causal(told(bent, velocity)), "EXP-MIDPOINT")]

@@ -70,7 +70,8 @@ def made_of(damping, drawn, walls, floor):
     return map(np.asarray, each(damping, of))
 
 
-def check_least(name, damping, count, k):
+def check_least(name, damping, count, k, spared=0):
+    """Compare with daqp's minimum; `spared` of the problems may need more than five descents."""
     daqp = pytest.importorskip("daqp")
     drawn, walls, floor = problems(name, count, seed=13, k=k)  # of which two take several descents
     qdot, room, _ = made_of(damping, drawn, walls, floor)
@@ -84,8 +85,7 @@ def check_least(name, damping, count, k):
         if flag == 1:
             off.append(np.abs(qdot[i] - found).max() / max(np.abs(found).max(), 1e-3))
             missed.append(-room[i].min())
-    assert len(off) > 0.9 * count and np.quantile([off, missed], 0.999, axis=1).max() < 1e-6
-    assert max(missed) < 1e-5  # where five descents were not enough, one of 12,000 problems
+    assert len(off) > 0.9 * count and max(np.sort([off, missed])[:, -1 - spared]) < 1e-6 and max(missed) < 1e-5
     return room
 
 
@@ -96,7 +96,7 @@ def test_it_is_the_least_behind_walls(damping):
 
 
 def test_an_arm_at_rest_on_a_wall_has_arrived_in_float32(monkeypatch):
-    """As users compile: of what rounding leaves of large forces that cancel, one step in eighty was said to be none."""
+    """As users compile: large forces cancel but for roundings; one step in eighty was said not to have converged."""
     monkeypatch.setenv("CFLAGS", "-O2")
     arm = ck.replace(ck.planar_arm([0.5, 0.4, 0.3]), velocity_limit=(2.0,) * 3)
     limits = ck.bounded(walls=[ck.wall(ck.position("y"), above=0.2)])
