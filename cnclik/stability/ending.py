@@ -154,7 +154,7 @@ class _Case:
         moves = self.still and changes and not swings
         held, grows = self.held(), self.grows()
         too_large = self.above and (swings or grows)  # a gain, whatever else acts
-        if held and not too_large and (self.still or not grows or self.unreachable):
+        if held and not too_large:
             if moves:
                 return Behaviour.TOO_SHORT, f"{held}; {said}, and still changes", self.unstable()
             also = "; it swings" * bool(swings)
