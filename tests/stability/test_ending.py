@@ -100,6 +100,15 @@ def test_a_swing_that_comes_to_rest_names_what_is_out_of_reach_too():
     assert said.kind == "swinging" and "83.2 mm away" in said.sentence
 
 
+def test_a_stable_loop_that_a_velocity_limit_leaves_behind_is_not_growing():
+    slow = ck.replace(THREE, velocity_limit=(0.5,) * 3)
+    alpha = 0.3 * ck.gains(Ts=0.02, drive=LATE).largest_stable
+    law = ck.Law(slow, XY, alpha=alpha, inverse=ck.damped(0.05), limits=ck.velocity_scaling())
+    path = ck.path(lambda t: (P3[0] - 0.15 * t**2, P3[1] - 0.15 * t**2))
+    said = judge(law, path, Q3, 0.02, 110, "EXP-MIDPOINT", LATE)
+    assert said.kind == "held back" and "q1 was at its velocity limit in 30 of 110 steps" in said.sentence
+
+
 def test_a_wall_comes_before_anything_else():
     """The wall holds in 157 of 400 steps, and lets the tip go again before the end."""
     wall = ck.wall(ck.position("y"), below=float(P3[1]) - 0.05, name="ceiling")
