@@ -71,13 +71,12 @@ class Tree:
             link = self.above[link].parent
 
     def tips(self, base=None) -> tuple:
-        """Return the leaf links that some joint moves against the base: the candidates for a tip."""
-        moved, waiting = {}, [(base or self.root, False)]
-        while waiting:
-            link, moves = waiting.pop()
-            moved[link] = moves
-            waiting += [(e.child, moves or e.type != "fixed") for e in self.below[link]]
-        return tuple(link for link in self.links if moved.get(link) and not self.below[link])
+        """Return the leaf links that joints move against the base, those of most joints first: candidates for a tip."""
+        links = [(base or self.root, 0)]
+        for link, joints in links:
+            links += [(e.child, joints + (e.type != "fixed")) for e in self.below[link]]
+        leaves = {link: joints for link, joints in links if joints and not self.below[link]}
+        return tuple(sorted(leaves, key=leaves.__getitem__, reverse=True))
 
 
 def text_of(file) -> str | None:

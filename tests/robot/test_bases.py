@@ -34,8 +34,8 @@ def postures(robot, count, seed=0):
     rng = np.random.default_rng(seed)
     low, high = (np.clip(bound, -2.0, 2.0) for bound in (robot.lower, robot.upper))
     q = rng.uniform(low, high, (count, robot.n))
-    for _, i in robot.balls:
-        q[:, i : i + 3] *= np.array([0.0, 1e-9, *[1.0] * count])[:count, None]
+    for _, i in robot.balls:  # by less than half a turn
+        q[:, i : i + 3] *= np.array([0.0, 1e-9, *[0.9] * count])[:count, None]
     return q
 
 

@@ -215,7 +215,7 @@ def test_one_reader_takes_files_and_names(tmp_path, monkeypatch, capsys):
     assert ck.load(robots() / URDFS["panda"], tip="panda_link3").n == 3
     with pytest.raises(ck.ArgumentError, match="'far_description' ends with OSError: no network"):
         ck.load("far_description")
-    for name, said in (("one_mj_description", "Tips .*: head, sole"), (str(file), "floating")):
+    for name, said in (("one_mj_description", "Tips .*: sole, head"), (str(file), "floating")):
         main(["robots", name])
         assert re.search(said, capsys.readouterr().out)
 
