@@ -168,7 +168,7 @@ def by_shift(rows, shift) -> Factored:
         solved = dense.factored_solve(factor, lambda x: wide @ (x @ wide) + floor * x, t if m <= n else wide @ t)
         return solved @ even if m <= n else solved[::-1]
 
-    return Factored(apply, _least(factor, floor), shift if jnp.ndim(shift) else floor)
+    return Factored(apply, least_of(rows), shift if jnp.ndim(shift) else floor)
 
 
 def scaled(items, shift):
@@ -177,9 +177,13 @@ def scaled(items, shift):
 
 
 def least_of(rows):
-    """Return an estimate of the least singular value of some rows: from below, and within √m."""
-    wide, shift = _wide(rows), tiny_shift(rows)
-    return _least(dense.cholesky(dense.shifted(wide @ wide.T, shift)), shift)
+    """Return an estimate of the least singular value σ of some rows: from below, and within √m.
+
+    σ² + s lies between 1 and m times 1/tr (JJᵀ + s I)⁻¹; an s as large as a damping would hide σ.
+    """
+    wide, shift = _wide(rows), tiny_shift(rows, NEARLY_NONE)
+    factor = dense.cholesky(dense.shifted(wide @ wide.T, shift))
+    return jnp.sqrt(jnp.maximum(lax.stop_gradient(1.0 / dense.inverse_trace(factor) - shift), 0.0))
 
 
 def tiny_shift(rows, share=ROUNDED):
@@ -210,12 +214,6 @@ def least_squared(rows):
 def _wide(rows):
     """Return the matrix or its transpose, whichever has fewer rows."""
     return rows if len(rows) <= rows.shape[1] else rows.T
-
-
-def _least(factor, shift):
-    """Return a lower estimate of σ_min, within √m of it: σ_min² + λ² lies between 1 and m times 1/tr (JJᵀ + λ²I)⁻¹."""
-    squared = lax.stop_gradient(1.0 / dense.inverse_trace(factor) - shift)
-    return jnp.sqrt(jnp.maximum(squared, 0.0))
 
 
 def levels(*names: Sequence[str], damping: Float[ArrayLike, " levels"]) -> Levels:
