@@ -153,16 +153,16 @@ def _moving(reference, parts, t):
 
 
 def tangent(reference, task: Task, t):
-    """Return the reference extrapolated from time t with its velocity."""
+    """Return the reference, with paths whose future is unknown extrapolated from time t with their velocity."""
 
     t = jnp.asarray(t)
 
-    def extrapolated(path, _):
+    def extrapolated(path):
         (position, rotation), (velocity, turning) = jax.jvp(path.curve, (t,), (jnp.ones_like(t),))
         turning = None if rotation is None else spin(rotation, turning)
         return replace(path, curve=Tangent(t=t, position=position, velocity=velocity, rotation=rotation, spin=turning))
 
-    return of_each(extrapolated, reference, task)
+    return of_each(lambda path, _: path if path.known else extrapolated(path), reference, task)
 
 
 def motion(reference, task: Task, t):

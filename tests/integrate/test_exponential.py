@@ -95,3 +95,12 @@ def test_a_causal_step_sees_the_targets_start_alone():
     each = (steady, ck.causal(steady))
     both = jax.jit(ck.native(lambda q: [ck.step(law, path, q, 0.0, 0.1, "EXP-EE").q for path in each]))
     close(*both(TURNED + 0.3), atol=1e-14)
+
+
+def test_a_path_of_unknown_future_leaves_that_of_another_task_known():
+    law = ck.Law(SLIDERS, ck.stack(x=ck.position("x"), y=ck.position("y")), alpha=2.0)
+    path = ck.path(lambda t: (0.3 + t**2,))
+    both = (path, path), (ck.causal(path),) * 2, (path, ck.causal(path))
+    known, unknown, mixed = (ck.step(law, ck.references(x=x, y=y), [0.2, 1.5], 0.1, 0.5, "EXP-EE").q for x, y in both)
+    close(mixed, [known[0], unknown[1]], atol=1e-15)
+    assert abs(known[0] - unknown[0]) > 0.2
