@@ -79,7 +79,7 @@ def loop_of(law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, mod
     check(reference, law.task)
     drive = drive or Drive()
     model = None if drive.prompt else model or sampled(drive, Ts)
-    law, reference, drive, model, noise = cast((modelled(law), reference, drive, model, noise), q0.dtype)
+    law, reference, drive, model, noise = cast((modelled(law), reference, drive, model, noise if N else None), q0.dtype)
     Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
     return Loop(law, reference, method, stage, Ts, t0, N, drive, model, noise)
 

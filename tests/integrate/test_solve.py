@@ -41,8 +41,9 @@ def test_trajectory():
     assert made.evaluations == N * 4
 
 
-def test_no_steps():
-    made = ck.solve(LAW, HOLD, Q, 0.1, 0, "EE")
+@pytest.mark.parametrize("noise", [None, np.zeros((0, 2))], ids=["exact", "noise"])
+def test_no_steps(noise):
+    made = ck.solve(LAW, HOLD, Q, 0.1, 0, "EE", noise=noise)
     assert made.q.shape == (1, 3) and made.qdot.shape == (0, 3) and made.status.shape == (0,)
     assert ck.require_ok(made) is made
 
