@@ -90,10 +90,10 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
         return State(q0, jnp.zeros_like(q0) if compensated else None)
     law, drive, model = loop.law, loop.drive, loop.model
     at = observe(law, loop.reference, loop.t0, q0)
-    late = (at.e,) * (0 if drive.feedback == "commanded" else drive.measurement_delay)
+    late = (at.e * (drive.filters != "target"),) * (0 if drive.feedback == "commanded" else drive.measurement_delay)
     held = q0 if drive.steps_positions else jnp.zeros_like(q0)  # what was commanded before
     smooth: Any = {"error": jnp.zeros_like(at.e), "command": held}.get(drive.filters)
-    if drive.filters == "target":  # which was where the robot is
+    if drive.filters == "target":  # which was where the robot is, so no error is on its way
         smooth = tuple(part.here(at.robot) for part in law.task.parts)
     x = jnp.zeros((*q0.shape, model.size), q0.dtype).at[..., 0].set(chart.centre(law.chain, q0))
     return State(q0, drives=Driven(x, jnp.tile(held, (model.remembered, 1)), q0, late, smooth))

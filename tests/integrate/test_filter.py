@@ -14,6 +14,7 @@ DRIVES = {
     "dead time": dict(delay=2),
     "lag": dict(delay=2, lag=0.03),
     "servo": dict(natural_frequency=30.0, command="position"),
+    "measured late": dict(measurement_delay=2, lag=0.03),
     "own commands": dict(delay=1, natural_frequency=30.0, command="position", feedback="commanded"),
 }
 
