@@ -124,6 +124,7 @@ class _Case:
         task = law.task  # of which a posture that yields is no error
         tips = [at for name, at in task.each if not all(isinstance(part, Joints) for part in task.alone(name).parts)]
         self.counted = np.arange(task.m)[np.r_[tuple(tips)] if tips else slice(None)]
+        self.lengths = [i for i in task.lengths if i in self.counted]
         self.alpha = np.broadcast_to(np.asarray(law.alpha, float), (task.m,))
         self.most = np.array(law.chain.velocity_limit, float)
         self.size = np.linalg.norm(self.e[:, self.counted], axis=1)
@@ -203,9 +204,8 @@ class _Case:
 
     def beside(self) -> float:
         """The largest error of lengths over the way of their target; 0 without lengths."""
-        lengths = list(self.law.task.lengths)
-        way = np.linalg.norm(np.ptp((self.x + self.e)[:, lengths], axis=0))
-        return self.peak(self.last, lengths) / max(way, self.floor) if lengths else 0.0
+        way = np.linalg.norm(np.ptp((self.x + self.e)[:, self.lengths], axis=0))
+        return self.peak(self.last, self.lengths) / max(way, self.floor) if self.lengths else 0.0
 
     def swing(self):
         """(largest swing in the last quarter, that in the quarter before, reversals beside those of the path)."""
@@ -221,9 +221,8 @@ class _Case:
 
     def lag(self) -> str:
         """The lag behind the path, where one explains the errors of lengths."""
-        lengths = list(self.law.task.lengths)
-        wanted = np.gradient(self.x[:, lengths] + self.e[:, lengths], self.Ts, axis=0)[self.last]
-        e, speed = self.e[self.last][:, lengths], np.sum(wanted**2)
+        wanted = np.gradient(self.x[:, self.lengths] + self.e[:, self.lengths], self.Ts, axis=0)[self.last]
+        e, speed = self.e[self.last][:, self.lengths], np.sum(wanted**2)
         lag = np.sum(wanted * e) / speed if speed else np.nan
         explains = speed > 0 and np.sum((e - lag * wanted) ** 2) <= (1 - EXPLAINED) * np.sum(e**2)
         return f", as a lag of {1e3 * lag:.3g} ms explains" if explains else ""

@@ -137,6 +137,19 @@ def test_following_names_a_lag_only_where_one_explains_the_error():
     assert "nan" not in str(judge(law, path, np.zeros(5), 0.1, 40))  # angles have no lag of lengths
 
 
+def test_sliding_joints_of_a_posture_do_not_count():
+    """0.5 m off without a gain, beside a path of 0.1 m."""
+    arm, start = ck.from_dh([0.0, 1.0, 0.8, 0.6], [0.0] * 4, [0.0] * 4, kinds="PRRR"), np.array([0.0, 0.3, 0.7, 0.6])
+    task = ck.stack(hand=XY, rest=ck.joints(weights=0.1))
+    place = np.asarray(ck.forward(arm, start).position)[:2]
+    paths = ck.references(
+        hand=ck.line(place, place - [0.1, 0.0], duration=2.0), rest=ck.hold(values=start + np.array([0.5, 0, 0, 0]))
+    )
+    law = ck.Law(arm, task, alpha={"hand": 10.0, "rest": 0.0}, inverse=ck.damped(1e-3), feedforward=0.0)
+    said = judge(law, paths, start, 0.01, 200)
+    assert said.kind == "following" and "as a lag of 101 ms explains" in said.sentence, said
+
+
 def test_rounding_is_that_of_the_run_and_an_axis_without_gain_is_named():
     arm, q0, target = ck.planar_arm([1.0, 1.0, 0.5]), np.array([0.3, -0.5, 0.4]), np.array([0.5, 1.8])
     law = ck.Law(arm, XY, alpha=2.0)
