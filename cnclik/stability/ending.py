@@ -17,7 +17,7 @@ from cnclik.integrate.method import DEFAULT, MethodLike
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.status import Status, rounding_of
 from cnclik.integrate.trajectory import Trajectory, check_run
-from cnclik.law.law import Law, check_loop
+from cnclik.law.law import Law, check_loop, metric
 from cnclik.law.paths import Reference
 from cnclik.measure.outcome import STALL_RATIO
 from cnclik.precision import in_float64_if_known, of_numbers
@@ -195,6 +195,10 @@ class _Case:
     def grows(self) -> bool:
         """Whether errors grow from quarter to quarter, or have become larger than the first one, or than their path."""
         last, before, earlier = (np.median(self.size[part]) for part in (self.last, self.before, self.earlier))
+        whole = np.linalg.norm(metric(self.law) * self.e, axis=1)
+        falls = whole[self.last].max() < GROWN * min(whole[0], whole[self.before].max())
+        if self.law.task.tasks and falls and not self.above:  # a task may give way to others
+            return False
         grown = last > self.apart * before and self.error > max(self.peak(self.before), self.least)
         if self.still:  # one that passes its target has a small quarter before its largest swing
             more = last > GROWN * max(self.size[0], self.least) and (self.above or not self.shrinks())

@@ -100,6 +100,16 @@ def test_a_swing_that_comes_to_rest_names_what_is_out_of_reach_too():
     assert said.kind == "swinging" and "83.2 mm away" in said.sentence
 
 
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_task_that_gives_way_to_a_posture_is_not_growing(moves):
+    """From 0 to 0.3 m, and there the joints rest."""
+    law = ck.Law(THREE, ck.stack(hand=XY, rest=ck.joints()), alpha=5.0, inverse=ck.damped(0.05))
+    hand = ck.line(P3, P3 + np.array([0.02, 0]), duration=1.0) if moves else ck.hold(P3 + 0.01)
+    said = judge(law, ck.references(hand=hand, rest=ck.hold(values=Q3 - 0.5)), Q3, 0.02, 200)
+    assert said.kind == ("following" if moves else "held back"), said
+    assert ("its tasks contradict each other there" in said.sentence) != moves and not said.remedy
+
+
 def test_a_stable_loop_that_a_velocity_limit_leaves_behind_is_not_growing():
     slow = ck.replace(THREE, velocity_limit=(0.5,) * 3)
     alpha = 0.3 * ck.gains(Ts=0.02, drive=LATE).largest_stable
