@@ -257,7 +257,9 @@ class _Case:
         if not words or (acted.all() and lag):
             return far
         when, usual = np.flatnonzero(acted) + 1, 0.0 if acted.all() else np.median(self.size[1:][~acted])
-        if self.peak(when) <= max(2 * usual, 10 * self.floor):
+        there = np.argmax(np.diff(self.size) >= 0)  # until then it only came nearer to its path
+        when = when[(when > there) | (there > self.N + self.last.start)]
+        if not when.size or self.peak(when) <= max(2 * usual, 10 * self.floor):
             return far
         words += f"; while they acted the error was up to {self.largest(when)}"
         return "; ".join(filter(None, [far, words]))

@@ -119,6 +119,16 @@ def test_a_stable_loop_that_a_velocity_limit_leaves_behind_is_not_growing():
     assert said.kind == "held back" and "q1 was at its velocity limit in 30 of 110 steps" in said.sentence
 
 
+@pytest.mark.parametrize(
+    ("period", "N", "kind"), [(40.0, 200, "following"), (40.0, 20, "held back"), (4.0, 200, "held back")]
+)
+def test_a_velocity_limit_on_the_way_to_a_path_is_left_behind(period, N, kind):
+    """0.45 m at the limit in the first 16 steps, and no more, or once more on a faster path."""
+    law = ck.Law(THREE, XY, alpha=20.0, inverse=ck.damped(0.01), limits=ck.velocity_scaling())
+    said = judge(law, ck.circle(P3 - np.array([0.5, 0.2]), 0.1, period=period), Q3, 0.01, N, "EXP-MIDPOINT")
+    assert said.kind == kind, said
+
+
 def test_a_wall_comes_before_anything_else():
     """The wall holds in 157 of 400 steps, and lets the tip go again before the end."""
     wall = ck.wall(ck.position("y"), below=float(P3[1]) - 0.05, name="ceiling")
