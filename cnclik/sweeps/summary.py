@@ -92,7 +92,8 @@ def table(data) -> list:
     inner = {d for d in data.dims if d in data.coords and (data[d].dtype.kind == "f" or f"{d}_value" in data.coords)}
     rows = []
     for name in scalars(data):
-        values, over = data[name].astype(float), [d for d in data[name].dims if d in inner]
+        values = data[name].astype(float).expand_dims("metric")  # there are statistics of a single loop, too
+        over = ["metric", *(d for d in data[name].dims if d in inner)]
         finite = np.isfinite(values)
         statistics = values.quantile([*STATISTICS.values()], over, method="lower").to_dataset("quantile")
         statistics = statistics.rename(dict(zip(STATISTICS.values(), STATISTICS, strict=True)))

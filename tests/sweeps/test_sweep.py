@@ -196,6 +196,8 @@ def test_statistics_are_numpys_and_read_back_whatever_the_names(tmp_path):
     assert (first["min"], first["median"], first["max"]) == (finite.min(), ranked[24], np.inf)
     assert whole["median"] == np.quantile(error[3, 1], 0.5, method="lower") and whole["finite"] == 1
     assert len(summarize(data.isel(case=0, M=0, drop=True))) == 1
+    labelled = summarize(data.isel(alpha=2, q0=0, drop=True))  # without an axis of numbers each loop has a row
+    assert [row["max"] for row in labelled] == error[:, :, 2, 0].ravel().tolist()
     with output_folder(tmp_path) as folder:
         summary.write(data, folder)
     with (tmp_path / "summary.csv").open(newline="") as file:
