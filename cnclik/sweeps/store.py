@@ -95,10 +95,16 @@ def opened(spec: Spec, folder) -> Store | None:
     store = Store(folder, mode="r+")
     for table, here in spec.fingerprint().items():
         there = store.config[table]
-        if differing := [name for name in there | here if there.get(name) != here.get(name)]:
+        if differing := [name for name in there | here if _compared(name, there) != _compared(name, here)]:
             must = "hold results of this very spec (another --out keeps both)"
             raise errors.fail("out", must, f"differs in {', '.join(differing)}: see config of {store.path}")
     return store
+
+
+def _compared(name, table) -> tuple:
+    """An entry of a table; of axes also their order and that of their labels, in which equal tables may differ."""
+    value = table.get(name)
+    return value, [[axis, *values] for axis, values in value.items()] if name == "axes" and value else None
 
 
 def run(spec: Spec, folder, *, progress=None) -> bool:

@@ -1,5 +1,6 @@
 """Stores: what is done survives faults and full disks, to the last bit; `tests.stress faults` kills sweeps."""
 
+import dataclasses
 import errno
 import json
 import os
@@ -96,6 +97,10 @@ def test_damaged_blocks_are_found_and_done_again(path, undisturbed, copy):
 def test_a_changed_spec_is_refused(path, undisturbed, copy):
     with pytest.raises(ArgumentError, match=r"must hold results of this very spec .* but differs in fixed: "):
         store.run(read(path, ["target=[0, 1]"]), copy)
+    turned = read(path)  # the same table, whose axes have another order: blocks would go to other places
+    turned = dataclasses.replace(turned, written=dict(reversed(turned.written.items())))
+    with pytest.raises(ArgumentError, match="differs in axes: "):
+        store.run(dataclasses.replace(turned, axes=turned.axes[::-1]), copy)
     store.run(read(path, ["question=Other words, same numbers?"]), copy)
     assert_same(copy, undisturbed)
 
