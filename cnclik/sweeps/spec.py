@@ -43,6 +43,7 @@ KEYS: dict[str, Any] = {"question": "", "expectation": "", "tolerance": 1e-3, "l
 KEYS |= {"fixed": {}, "axes": {}, "units": {}, "figure": []}  # of a spec, with their defaults
 WORDS: dict[Any, str] = {str: "be a text", list: "be a list", dict: "be a table"}
 FILES = ("robot", "reference")  # options that may name a file
+COUNTS = ("M", "seed")  # on an axis of their own they need not be compiled in
 PIECES = 8  # blocks of a program, at least, if there are enough lanes
 OPTIONS = options.OPTIONS
 WHOLE = {name for name, option in OPTIONS.items() if option.kind == options.INTEGER}
@@ -104,11 +105,16 @@ class Spec:
         return [axis for axis, value in self.written.items() if isinstance(value, dict) and "samples" in value]
 
     def programs(self):
-        """Yield the first combination of the outer axes, and those that differ from it along one axis."""
+        """Yield the combinations of tables and expressions, and what differs from the first along one other outer axis.
+
+        A table or an expression may give another one names to use, and only together may they use an axis.
+        """
         outer = Grid(self.axes).outer if self.axes else ()  # refuses too many
         first = {a.name: a.values[0] for a in outer}
-        yield first
-        yield from (first | {a.name: value} for a in outer for value in a.values[1:])
+        using = [a for a in outer if a.name not in NAMES and isinstance(a.values[0], str)]
+        for values in itertools.product(*(a.values for a in using)):
+            yield first | dict(zip([a.name for a in using], values, strict=True))
+        yield from (first | {a.name: value} for a in outer if a not in using for value in a.values[1:])
 
     def needs(self, *names) -> set:
         """Return the names that some values depend on, these included."""
@@ -357,7 +363,8 @@ def _check_names(spec: Spec):
 
 def _axes(spec: Spec) -> tuple:
     """Return all axes: those of tables, then the others as written, with what must be concrete compiled in: names, N,
-    dead times, what the linear limit depends on, and a path on which loops begin, whose start is searched for.
+    dead times, what M, the seed or the linear limit depend on, and a path on which loops begin, whose start is searched
+    for.
 
     Samples are drawn for the widest robot, and each arm uses the first ones.
     """
@@ -369,7 +376,7 @@ def _axes(spec: Spec) -> tuple:
         if not spec.drawn:
             break
         joints = max(spec.loop(program).joints() for program in spec.programs())
-    wanted = spec.needs(*COMPILED_IN, *NAMES)
+    wanted = spec.needs(*COMPILED_IN, *NAMES) | (spec.needs(*COUNTS) - {*COUNTS})
     if LIMIT in spec.needs(*(name for table in spec.places().values() for name in table)):
         wanted |= spec.needs(LIMIT) - {"M"}
     if any(loop["begin"] == "on-path" for loop in map(spec.loop, spec.programs())):

@@ -89,6 +89,12 @@ def test_what_the_number_of_steps_or_a_dead_time_depends_on_is_compiled_in():
     delays = [spec.loop(p)["delay"] for p in spec.grid().programs if p["method"] == "EE"]
     assert delays == [2, 4, 1, 2]
     assert spec.grid().coordinates(spec.all_units())["delay"][2]["units"] == "1"  # not "20ms samples"
+    spec = parse(written(fixed__M="k", fixed__seed="k", fixed__noise=1e-3, axes__M=None, axes__k=[1, 2]))
+    assert [build(spec, program).stage.M for program in spec.grid().programs] == [1, 2, 1, 2]
+    law, span = {"short": {"steps": 4}, "long": {"steps": "more"}}, {"a": {"more": 5}, "b": {"more": "3*k"}}
+    spec = parse(written(fixed__N="steps", axes__law=law, axes__span=span, axes__k=[2, 3]))  # two tables use k together
+    counts = [spec.loop(program)["N"] for program in spec.grid().programs if program["method"] == "EE"]
+    assert counts == [4, 4, 4, 4, 5, 5, 6, 9]
 
 
 def test_an_axis_of_tables_and_samples_that_fit_every_arm():
@@ -339,6 +345,10 @@ def test_the_limit_is_over_the_axes_on_which_it_depends():
     dims, values = limit({}, ["alpha", "Ts"], "alpha_Ts", z=[0.5, 1.5], law={"quick": quick, "slow": slow})
     assert dims == ("law", "z")
     np.testing.assert_allclose(values, [[0.5, 1.5], [1.0, 3.0]], rtol=1e-9)
+    law, rate = {"given": {"alpha": 2}, "scaled": {"alpha": "r"}}, {"one": {"r": 3}, "more": {"r": "10*k"}}
+    dims, values = limit({"Ts": 0.1}, ["alpha", "Ts", "method"], "alpha_Ts", k=[1.0, 2.0], law=law, rate=rate)
+    assert dims == ("law", "rate", "k")  # which only two tables together use
+    np.testing.assert_allclose(values[1], [[0.3, 0.3], [1, 2]], rtol=1e-9)
 
 
 def test_noise_at_rest_is_as_large_as_theory_says():
