@@ -229,7 +229,7 @@ def measure_run(
     check_run(run, law)
     names, swings = tuple(dict.fromkeys(names)), drive is not None and not check_drive(drive, law.chain).prompt
     values = _values(run, law, reference, np.asarray(tolerance, run.e.dtype), swings=swings, names=names)
-    return Metrics(values, {name: _unit(METRICS[name].unit, law) for name in names})
+    return Metrics(values, {name: unit_of(name, law) for name in names})
 
 
 @functools.partial(one_off, static_argnames=("swings", "names"))
@@ -247,9 +247,9 @@ def check(names, law: Law) -> None:
             raise errors.fail("metrics", f"be ones of the task ({', '.join(law.task.names)})", f"include {name!r}")
 
 
-def _unit(written: str, law: Law) -> str:
+def unit_of(name: str, law: Law) -> str:
     """Return the unit of a metric for a law, as it depends on the task and the joints."""
-    joints = sorted(set(law.chain.units), reverse=True)
+    written, joints = METRICS[name].unit, sorted(set(law.chain.units), reverse=True)
     of_law = {"e": dict.fromkeys(law.task.units), "q": joints, "J": ["m" if law.task.lengths else "1"]}
     head, tail = written[:1], written[1:]
     if head not in of_law or tail[:1].isalpha():

@@ -241,6 +241,9 @@ def run_blocks(study, of: Grid, blocks, first: StudyProgram | None = None):
     for (number, group), program in zip(groups, programs, strict=True):
         if first is not None and [o[:3] for o in program.outputs] != [o[:3] for o in first.outputs]:
             raise errors.fail("study", "return the same names and shapes everywhere", f"not at {of.programs[number]}")
+        for o, its in zip(first.outputs if first is not None else (), program.outputs, strict=False):
+            units = [unit for one in (o, its) for unit in one.about["units"].split(" or ")]
+            o.about["units"] = " or ".join(dict.fromkeys(units))  # where programs differ in them, all of these
         # An accelerator is kept busy by one block.
         yield from _ahead(computed, group, cores() if jax.default_backend() == "cpu" and not program.alone else 1)
 

@@ -26,7 +26,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.measure.dataset import provenance
-from cnclik.measure.metrics import DEFAULT, Metrics, measure_run
+from cnclik.measure.metrics import DEFAULT, Metrics, measure_run, unit_of
 from cnclik.measure.metrics import check as check_metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, drive_from, problem_from
@@ -70,6 +70,7 @@ class Spec:
     figures: list
     folder: pathlib.Path  # where files named in the spec are searched first
     axes: tuple = ()  # of `Axis`, those of tables first
+    metric_units: dict = dataclasses.field(default_factory=dict)  # where loops differ in one, all of theirs
 
     def grid(self) -> Grid:
         """Return the axes, cut into blocks: a power of two, smaller for long loops, enough to keep the cores busy."""
@@ -89,7 +90,8 @@ class Spec:
         problem = self.loop(values).build()
         run = problem.run(draws)
         tolerance, drive = self.tolerance, problem.drive
-        return measure_run(run, problem.law, problem.reference, self.metrics, tolerance=tolerance, drive=drive)
+        values = measure_run(run, problem.law, problem.reference, self.metrics, tolerance=tolerance, drive=drive)
+        return Metrics(values.values(), self.metric_units)
 
     def draws(self, program: dict, lanes: dict) -> dict:
         """Return the standard normal numbers (lanes, N, m) of noise whose seed is an axis."""
@@ -338,10 +340,11 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
     used = [forms.names(n, v) for table in places.values() for n, v in table.items() if n not in NAMES]
     for where, table in places.items():
         known_keys(where, table, (*OPTIONS, *sorted(set().union(*used))))
-    for program in spec.programs():
-        for end in (np.argmin, np.argmax):
-            check_metrics(spec.metrics, spec.loop(program, end).build().law)
-    return spec
+    laws = [spec.loop(program, end).build().law for program in spec.programs() for end in (np.argmin, np.argmax)]
+    for law in laws:
+        check_metrics(spec.metrics, law)
+    each = {name: " or ".join(dict.fromkeys(unit_of(name, law) for law in laws)) for name in spec.metrics}
+    return dataclasses.replace(spec, metric_units=each)
 
 
 def _check_names(spec: Spec):

@@ -112,6 +112,9 @@ def test_an_axis_of_tables_and_samples_that_fit_every_arm():
     laws = [build(spec, lane | {"case": "three", "law": name, "method": "EE"}).law for name in law]
     assert not hasattr(laws[0].inverse, "threshold") and float(laws[1].inverse.damping) == 0.1
     assert spec.all_units()["law"] == "1"
+    arm = {"robot": "planar:1,1"}
+    turned = parse({"metrics": ["max_error", "max_qdot"], "fixed": arm, "axes": {"task": ["xy", "rz"]}})
+    assert turned.metric_units == {"max_error": "m or rad", "max_qdot": "rad/s"}
     given["axes"]["turn"]["seed"] = 4
     assert not np.array_equal(next(a.values for a in parse(given).axes if a.name == "turn"), turn)
 

@@ -11,7 +11,7 @@ import pytest
 import xarray
 
 import cnclik as ck
-from cnclik.measure.metrics import measure_run
+from cnclik.measure.metrics import Metrics, measure_run
 from cnclik.sweeps import grid as programs
 from cnclik.sweeps import summarize, summary
 from cnclik.sweeps.axes import axis
@@ -73,6 +73,8 @@ def test_coordinates_units_and_configuration_are_labelled():
     units = {"alpha": "1/s", "Ts": "s", "history": "", "z": "1"}
     assert {name: variable.attrs["units"] for name, variable in found.variables.items()} == units
     assert float(found.z.sel(alpha=2.0, Ts=0.3)) == pytest.approx(0.6, rel=1e-15)
+    either = sweep(lambda unit: Metrics([jnp.ones(())], {"ok": unit}), unit={"a": "m", "b": "rad", "c": "m"})
+    assert either.ok.units == "m or rad"
     assert found.attrs["jax"] == jax.__version__
     assert json.loads(found.attrs["config"])["axes"]["Ts"] == [0.1, 0.2, 0.3]
 
