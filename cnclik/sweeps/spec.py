@@ -80,9 +80,11 @@ class Spec:
         lanes = self.lanes or 2 ** int(np.clip(np.log2(min(2**21 / max(steps, 1), size / PIECES)), 6, 16))
         return dataclasses.replace(of, lanes=min(lanes, size))
 
-    def loop(self, values: dict, end=np.argmin) -> "Loop":
-        """Return the values of one loop. Args: values: of axes; of numeric ones the least, or the end=np.argmax."""
-        ends = {a.name: a.values[end(a.values.reshape(len(a), -1)[:, 0])] for a in self.axes if a.inner}
+    def loop(self, values: dict, end=np.argmin, column=0) -> "Loop":
+        """Return the values of one loop. Args: values: of axes; of numeric ones the least, or the end=np.argmax, of
+        vectors by a column."""
+        inner = [(a, a.values.reshape(len(a), -1).T) for a in self.axes if a.inner]
+        ends = {a.name: a.values[end(columns[column % len(columns)])] for a, columns in inner}
         return Loop(self, ends | values)
 
     def study(self, /, draws=None, **values) -> Metrics:
@@ -340,7 +342,9 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
     used = [forms.names(n, v) for table in places.values() for n, v in table.items() if n not in NAMES]
     for where, table in places.items():
         known_keys(where, table, (*OPTIONS, *sorted(set().union(*used))))
-    laws = [spec.loop(program, end).build().law for program in spec.programs() for end in (np.argmin, np.argmax)]
+    widest = max((a.values[0].size for a in spec.axes if a.inner and a.name not in spec.drawn), default=1)
+    ends = list(itertools.product((np.argmin, np.argmax, lambda v: np.argmin(np.abs(v))), range(widest)))
+    laws = [spec.loop(program, *end).build().law for program in spec.programs() for end in ends]
     for law in laws:
         check_metrics(spec.metrics, law)
     each = {name: " or ".join(dict.fromkeys(unit_of(name, law) for law in laws)) for name in spec.metrics}

@@ -214,6 +214,12 @@ test_everything_wrong_is_said_in_one_line = refusals(
     ({"fixed__q0": None, "axes__q0": {"samples": 10**9}}, "at most 10,000,000 values, but asks for 1,000,000,000"),
     ({"fixed__q0": None, "axes__q0": {"samples": 2, "high": [1, 1, 1]}}, "be samples = count, low and high"),
     ({"axes__damping": [0.1, -0.1]}, "`damping` must be positive, but is -0.1"),
+    ({"axes__noise": [[1, 1], [2, -5], [3, 1]]}, "`noise` must be at least 0, but is [2.0, -5.0]"),
+    (
+        {f"fixed__{name}": None for name in ("start", "target")}
+        | {"fixed__reference": "circle", "axes__lift": None, "axes__period": [-1, 0, 1]},
+        "`period` must not be 0",
+    ),
     ({"axes__Ts": [0.1]}, "`fixed.Ts` must be given once, but is given by another axis, too"),
     ({"axes__law": {"a": {"z": 1.0}}}, "`axes.law.a.z` must be given once"),
     ({"axes__law": {"a": {"N": 3}}, "axes__n": {"b": {"N": 4}}}, "`axes.n.b.N` must be given once"),
