@@ -239,6 +239,8 @@ def test_the_best_loop_is_safe_and_judged_by_its_worst_start():
     ties = "(1 m; 4 loops tie): alpha 2 or 5 1/s, Ts 0.01 or 0.1 s."
     same = summary.best(judged(final_error=np.ones(SHAPE)).isel(case=0, drop=True))
     assert same == [f"4 of 4 loops are safe, the best by final_error {ties}"]
+    clamped = judged(over_velocity=fast).rename(q0="error_clamp", q0_value="error_clamp_value", q0_0="error_clamp_0")
+    assert summary.best(clamped)[0].startswith("Case a: 7 of 8 loops are safe")  # clamps are a choice, as gains are
     assert summary.best(judged().drop_vars("final_error")) == []
 
 
