@@ -90,8 +90,8 @@ def compiled_in(of: Axis, where: str) -> Axis:
     return Axis(of.name, numbers, numbers)
 
 
-def read(name: str, value, joints: int) -> Axis:
-    """Return an axis from its entry in a spec. Args: joints: the number of values of each sample."""
+def read(name: str, value, joints: int | None) -> Axis:
+    """Return an axis from its entry in a spec. Args: joints: the number of values of each sample; None: not known."""
     where = f"axes.{name}"
     if isinstance(value, list):
         values = [_number(name, v) for v in value]
@@ -132,6 +132,7 @@ def _generated(where, value, joints):
         low, high = (evaluate(where, [end])[0] for end in (low, high))
         if kind != "samples":
             return getattr(np, kind)(low, high, count)
+        joints = joints or max(np.size(low), np.size(high))
         low, high = np.broadcast_to(low, joints), np.broadcast_to(high, joints)
         return np.random.default_rng(value.get("seed", 0)).uniform(low, high, (count, joints))
     except errors.ArgumentError:

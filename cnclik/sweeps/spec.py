@@ -376,7 +376,7 @@ def _axes(spec: Spec) -> tuple:
     Samples are drawn for the widest robot, and each arm uses the first ones.
     """
     tables = tuple(Axis(name, tuple(labels), tuple(labels)) for name, labels in spec.tables.items())
-    joints = 1
+    joints = None
     for _ in range(2):  # the second time with the number of joints known
         plain = [forms.read(name, value, joints) for name, value in spec.written.items()]
         spec = dataclasses.replace(spec, axes=(*tables, *plain))

@@ -117,6 +117,9 @@ def test_an_axis_of_tables_and_samples_that_fit_every_arm():
     assert turned.metric_units == {"max_error": "m or rad", "max_qdot": "rad/s"}
     given["axes"]["turn"]["seed"] = 4
     assert not np.array_equal(next(a.values for a in parse(given).axes if a.name == "turn"), turn)
+    given["axes"]["turn"] |= {"low": [-1, 2, -3], "high": [1, 2.5, 3]}  # one for every joint
+    turn = next(a.values for a in parse(given).axes if a.name == "turn")
+    assert turn.shape == (5, 3) and (turn[:, 1] >= 2).all() and np.abs(turn[:, 2]).max() > 1
 
 
 def test_changes_on_the_command_line(tmp_path):
