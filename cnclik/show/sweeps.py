@@ -170,7 +170,8 @@ def view(data, layout: Layout):
         words = shown[layout.value].attrs.get("long_name", "")
         if reduce == "mean" and words.startswith("1 if "):  # a verdict
             shown[layout.value].attrs["long_name"] = words.replace("1 if", "share with", 1)
-    return shown.isel({d: shown.sizes[d] // 2 for d in layout.middle})
+    shown = shown.isel({d: shown.sizes[d] // 2 for d in layout.middle})
+    return shown.sortby([d for d in (layout.x, layout.y) if d in shown.dims and shown[d].dtype.kind in "if"])
 
 
 # --- kinds ----------------------------------------------------------------------------------------------

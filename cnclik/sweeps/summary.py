@@ -10,7 +10,7 @@ import numpy as np
 FILES = ("summary.csv", "config.json")
 _WRONG = ("diverged", "growing", "over_velocity")  # counts of steps that are 0 for a safe loop
 _APART = ("case", "robot")  # axes along which errors are not compared
-_CHOSEN = ("alpha", "weights", "error_clamp")  # axes of vectors that are a choice, as numbers are; others are starts and targets
+_CHOSEN = ("alpha", "weights", "error_clamp")  # axes of vectors that are a choice; others are starts and targets
 STATISTICS = {"min": 0.0, "q10": 0.1, "median": 0.5, "q90": 0.9, "max": 1.0}  # quantiles
 
 

@@ -159,6 +159,14 @@ def test_the_boundary_is_each_panels_own_limit():
     assert boundaries(drawn(other, {"kind": "heat", "x": "damping", "y": "distance"})) == [[], [], []]
 
 
+def test_axes_out_of_order_are_drawn_in_order():
+    found = data(**PLANE)
+    turned = found.isel(alpha=np.r_[5:12, 0:5], Ts=slice(None, None, -1))
+    (there, *_), (here, *_) = (drawn(some, HEAT | {"panels": "method"}).axes for some in (found, turned))
+    np.testing.assert_array_equal(here.collections[0].get_array(), there.collections[0].get_array())
+    np.testing.assert_array_equal(here.collections[0].get_coordinates(), there.collections[0].get_coordinates())
+
+
 def test_a_limit_over_passes_meets_each():
     found = data(M=np.array([0, 1, 2, 5]), z=np.linspace(0.1, 3, 30))
     found = found.assign_coords(limit=("M", [2.0, 1.0, 1.35, np.inf]))
