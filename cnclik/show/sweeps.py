@@ -255,7 +255,7 @@ def _value_scale(ax, values, layout):
         positive = values[np.isfinite(values) & (values > 0)]
         bottom = limits[0] if limits and limits[0] > 0 else 0.7 * max(positive.min(), positive.max() * 1e-16)
         style.log_scale(ax.yaxis, limits or np.maximum(positive, bottom))
-        ax.set_ylim(bottom=bottom)
+        ax.set_ylim(bottom, positive.max() / 0.7)  # of all panels, which share it
         for line in ax.lines:  # an error of exactly 0 lies on the axis: it is not missing
             line.set_ydata(np.where(line.get_ydata() <= 0, bottom, line.get_ydata()))
     if limits:

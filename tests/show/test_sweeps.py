@@ -223,6 +223,14 @@ def test_curves_hold_the_datas_numbers():
     assert (panel.lines[0].get_ydata() == panel.get_ylim()[0]).all()
 
 
+def test_panels_that_share_an_axis_show_all_values():
+    found = data(case=["small", "large"], z=np.linspace(0.1, 0.9, 5))
+    found["max_error"] = found.max_error * xarray.DataArray([1.0, 1e4], dims="case")
+    figure = drawn(found, {"kind": "slices", "x": "z", "panels": "case", "log": True})
+    shown = found.max_error.values[np.isfinite(found.max_error.values)]
+    assert all(ax.get_ylim()[0] < shown.min() and ax.get_ylim()[1] > shown.max() for ax in figure.axes)
+
+
 def test_long_words_stay_within_the_figure_and_apart():
     found = data(case=["2dof", "5dof"], size=[1e-3, 0.03, 0.1, 0.3, 1.0], **PLANE)
     found["size"].attrs["units"] = "rad"
