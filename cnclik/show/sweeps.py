@@ -85,13 +85,14 @@ class Layout(NamedTuple):
 def numeric(data) -> list:
     """Return the dimensions with numbers along them, those of a question of stability first."""
     dims = [d for d in data.dims if d in data.coords and data[d].dtype.kind in "if" and d not in samples(data)]
+    dims = [d for d in dims if f"{d}_value" not in data.coords]  # vectors to choose from
     dims = [d for d in dims if data.sizes[d] > 1] or dims[:1]  # an axis of one value is none
     return sorted(dims, key=lambda d: (d != "alpha", d != "Ts"))
 
 
 def samples(data) -> list:
     """Return the dimensions that count vectors, such as random starts, or draws of noise."""
-    return [d for d in data.dims if f"{d}_value" in data.coords or d == "seed"]
+    return [d for d in data.dims if (f"{d}_value" in data.coords and d not in summary.CHOSEN) or d == "seed"]
 
 
 def defaults(data) -> list:
@@ -164,6 +165,10 @@ def view(data, layout: Layout):
     shown = data[[layout.value, *[layout.x] * (layout.x in data.data_vars and layout.x != layout.value)]]
     for dim, wanted in layout.table.get("select", {}).items():
         shown = shown.sel({dim: wanted}, method="nearest" if shown[dim].dtype.kind == "f" else None)
+    for dim in (d for d in summary.CHOSEN if f"{d}_value" in data.coords and d in shown.coords):
+        vectors = [text(data[f"{dim}_value"].values[i]) for i in shown[dim].values.ravel()]
+        labels = shown[dim].copy(data=np.reshape(np.array(vectors, object), shown[dim].shape))
+        shown = shown.assign_coords({dim: labels.assign_attrs(units=data[f"{dim}_value"].attrs.get("units", ""))})
     if layout.reduced:
         reduce = layout.table.get("reduce", "median")
         shown = getattr(shown, reduce)(layout.reduced, keep_attrs=True)
@@ -357,7 +362,7 @@ def is_logarithmic(values, layout) -> bool:
 def described(coordinate) -> str:
     """Return a single coordinate in words: "CN", "α = 5 1/s"; of a label that is a number, too."""
     value = coordinate.values.item()
-    if isinstance(value, str) and not set(value) <= set("0123456789.-e"):
+    if isinstance(value, str) and not set(value) <= set("0123456789.-e[], "):
         return value
     return f"{_name(coordinate).partition(' = ')[0]} = {text(value)} {unit_of(coordinate)}".strip()
 

@@ -10,7 +10,7 @@ import numpy as np
 FILES = ("summary.csv", "config.json")
 _WRONG = ("diverged", "growing", "over_velocity")  # counts of steps that are 0 for a safe loop
 _APART = ("case", "robot")  # axes along which errors are not compared
-_CHOSEN = ("alpha", "weights", "error_clamp")  # axes of vectors that are a choice; others are starts and targets
+CHOSEN = ("alpha", "weights", "error_clamp")  # axes of vectors that are a choice; others are starts and targets
 STATISTICS = {"min": 0.0, "q10": 0.1, "median": 0.5, "q90": 0.9, "max": 1.0}  # quantiles
 
 
@@ -38,7 +38,7 @@ def best(data) -> list:
     checks += [data.stable != 0] if "stable" in data else []  # NaN: of a moving target
     share = share_of_limit(data)
     checks += [~(share >= 1)] if share is not None else []
-    drawn = [d for d in value.dims if d == "seed" or (f"{d}_value" in data.coords and d not in _CHOSEN)]
+    drawn = [d for d in value.dims if d == "seed" or (f"{d}_value" in data.coords and d not in CHOSEN)]
     safe = functools.reduce(operator.and_, checks).all(drawn)
     value = value.max(drawn, keep_attrs=True).where(safe)
     apart, lines = [d for d in _APART if d in value.dims], []

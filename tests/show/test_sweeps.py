@@ -231,6 +231,15 @@ def test_panels_that_share_an_axis_show_all_values():
     assert all(ax.get_ylim()[0] < shown.min() and ax.get_ylim()[1] > shown.max() for ax in figure.axes)
 
 
+def test_gains_that_are_vectors_are_lines():
+    found = data(alpha=[0, 1, 2], Ts=np.geomspace(0.01, 0.5, 5))
+    found = found.assign_coords(alpha_value=(("alpha", "alpha_0"), [[3, 5], [1, 2], [8, 9]], {"units": "1/s"}))
+    figure = drawn(found, defaults(found)[0])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["[3, 5]", "[1, 2]", "[8, 9]"]
+    figure = drawn(found, {"kind": "slices", "select": {"alpha": 2}})
+    assert figure.get_suptitle() == "α = [8, 9] 1/s"
+
+
 def test_long_words_stay_within_the_figure_and_apart():
     found = data(case=["2dof", "5dof"], size=[1e-3, 0.03, 0.1, 0.3, 1.0], **PLANE)
     found["size"].attrs["units"] = "rad"
