@@ -47,7 +47,7 @@ class Drive:
         values. Without lag both are the same. Default: velocity.
       feedback: joint values that the controller uses. measured: the robot's own; commanded: its own commands, so that
         drive, dead time and measurement delay do not enter the loop; rebased: measured, and each position command
-        starts from them instead of the last command. Default: measured.
+        starts from them instead of the last command; there a late measurement is a delay. Default: measured.
       smoothing: low-pass filter: the share ρ of the old value that a moving average keeps, at least 0 and below 1.
       cutoff: cut-off frequency f of the low-pass filter [Hz], positive, in place of ρ = exp(−2π f Ts).
       smoothed: signal that the filter smooths: error, command or target. Default: error.
@@ -77,13 +77,13 @@ class Drive:
             errors.one_of(name, getattr(self, name), words)
         lag, servo, checked = not _none(self.lag), self.natural_frequency is not None, {"delay": delay}
         if lag and servo:
-            must = "be left out where there is a lag: a drive has one of both"
-            raise errors.fail("natural_frequency", must, "is given")
+            raise errors.fail("natural_frequency", "be left out where there is a lag: use one of both", "is given")
         if not servo and not (is_literal(self.damping_ratio) and self.damping_ratio == 1):
             raise errors.fail("damping_ratio", "come with a natural_frequency", "comes without")
-        if self.feedback == "rebased" and not self.steps_positions:
-            must = "come with command position and a lag or servo where it is rebased: velocities begin nowhere else"
-            raise errors.fail("feedback", must, f"comes with command {self.command}, order {self.order}")
+        if self.feedback == "rebased" and (self.measurement_delay or not self.steps_positions):
+            must = "come with command position and a lag or servo, its dead time as delay alone, where it is rebased"
+            found = f"command {self.command}, order {self.order}, measurement_delay {self.measurement_delay}"
+            raise errors.fail("feedback", must, f"comes with {found}")
         for name in ["lag"] * lag + ["natural_frequency", "damping_ratio"] * servo:
             nothing = lag and self.command == "velocity"  # of positions a lag makes steps of lines
             size = {"at_least": 0} if nothing else {"positive": True, "at_least": 1 / LARGEST}

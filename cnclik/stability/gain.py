@@ -418,7 +418,7 @@ def settings(found: Gains) -> dict[str, Setting]:
     elif drive.order and drive.command == "velocity":
         why += ", and the drive given is a velocity servo: identify it with position commands"
     else:
-        k_val = gain(replace(drive, command="position", feedback="rebased")) if drive.order else MOST_Z
+        k_val = gain(replace(drive.lumped, command="position", feedback="rebased")) if drive.order else MOST_Z
         why += "" if k_val else ", and this servo may then swing or run away"
     if not unknown and drive.order and drive.command == "velocity":
         servoj = Setting(None, "alpha: servoj takes positions, and the drive given is a velocity servo")

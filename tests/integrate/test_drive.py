@@ -99,6 +99,10 @@ test_what_is_no_drive_is_refused = refusals(
     (lambda: Drive(natural_frequency=0.0), "`natural_frequency` must be positive"),
     (lambda: Drive(damping_ratio=0.7), "`damping_ratio` must come with a natural_frequency"),
     (lambda: Drive(feedback="rebased"), "`feedback` must come with command position and a lag"),
+    (
+        lambda: Drive(feedback="rebased", command="position", lag=0.1, measurement_delay=2),
+        "`feedback` must come with command position and a lag or servo, its dead time as delay alone",
+    ),
     (lambda: Drive(command="torque"), "`command` must be one of velocity, position, but is 'torque'"),
     (lambda: Drive(feedback="mesured"), "did you mean 'measured'"),
     (lambda: Drive(smoothing=1.0), "`smoothing` must be below 1"),

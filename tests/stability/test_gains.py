@@ -159,6 +159,8 @@ def drawn_drive(rng):
         numbers |= dict(smoothing=float(rng.uniform(0.1, 0.9)), smoothed=str(rng.choice(["error", "command"])))
     if numbers.get("feedback") == "commanded":
         numbers.pop("smoothed", None)
+    if numbers.get("feedback") == "rebased":
+        numbers["delay"] += numbers.pop("measurement_delay")
     return Drive(**numbers)
 
 
