@@ -90,8 +90,7 @@ class Drive:
             checked[name] = errors.array(name, getattr(self, name), (), (None,), (None, 1), **size, most=LARGEST)
         if not _none(self.smoothing):
             if self.cutoff is not None:
-                must = "be left out where there is a smoothing: a filter has one of both"
-                raise errors.fail("cutoff", must, "is given")
+                raise errors.fail("cutoff", "be left out where there is a smoothing: use one of both", "is given")
             checked["smoothing"] = leaf(errors.number("smoothing", self.smoothing, at_least=0))
             if errors.concrete(self.smoothing) and not self.smoothing < 1:
                 must = "be below 1, the share of the old value that is kept (a cut-off in Hz is `cutoff`)"
@@ -132,8 +131,9 @@ class Drive:
 
     @property
     def lumped(self) -> Self:
-        """The drive with all delays lumped into the dead time; stability is the same."""
-        return replace(self, delay=self.delay + self.measurement_delay, measurement_delay=0)
+        """The drive with all delays that act lumped into the dead time; stability is the same."""
+        late = self.measurement_delay * (self.feedback != "commanded")  # whose controller measures nothing
+        return replace(self, delay=self.delay + late, measurement_delay=0)
 
     @property
     def joints(self) -> list[Drive]:

@@ -438,7 +438,7 @@ def settings(found: Gains) -> dict[str, Setting]:
 
 def _of_servoj(drive: Drive, Ts: float, unknown: bool) -> Drive:
     """The drive with the lag of servoj's look-ahead; where there is another, as dead time."""
-    drive = replace(drive.lumped, feedback="measured", command="position")
+    drive = replace(drive, feedback="measured", command="position").lumped
     if unknown or drive.order == 0:
         return replace(drive, lag=LOOKAHEAD)
     return replace(drive, delay=min(drive.delay + LOOKAHEAD / Ts, MOST - SPARE))

@@ -140,6 +140,14 @@ def test_no_more_than_one_per_cent_is_passed_without_overshoot():
         assert found.response.overshoot <= 0.0101 and 5 < found.recommended < 15
 
 
+def test_on_its_own_commands_a_loop_waits_for_no_measurement():
+    late = Drive(delay=2, measurement_delay=3, lag=0.03, feedback="commanded")
+    found, prompt = (ck.gains(Ts=0.01, drive=drive) for drive in (late, ck.replace(late, measurement_delay=0)))
+    assert found.response == prompt.response and found.reason == prompt.reason
+    late, prompt = (ck.gains(Ts=0.01, drive=ck.replace(one.drive, command="position")) for one in (found, prompt))
+    assert late.elsewhere["UR servoj"].value < prompt.elsewhere["UR servoj"].value  # which measures
+
+
 # --- the theorem: random loops of random robots --------------------------------------------------------
 
 
