@@ -88,8 +88,11 @@ def chosen(over, law: Law, bounds: dict, gains: Gains) -> tuple[Parameter, ...]:
     names = [p.name for p in parameters]
     if not names or len(set(names)) < len(names):
         raise errors.fail("over", "name something to tune, each once", f"is {names}")
+    free = dict.fromkeys(name for p in each if isinstance(p, str) for name in (p, p.rpartition(".")[2]))
     for name in bounds:
-        errors.one_of("bounds", name, [*names, *(name.rpartition(".")[2] for name in names)])
+        if name in names and name not in free:
+            raise errors.fail("bounds", "leave out a Parameter, which has its own", f"hold {name!r}")
+        errors.one_of("bounds", name, free)
     return parameters
 
 

@@ -285,6 +285,7 @@ def test_alpha_of_a_stack_is_a_gain_for_each_task_but_postures():
     assert [p.start.tolist() for p in pm.chosen("alpha", axes, {}, GAINS)] == [[8.0, 7.0], 4.0]
 
 
+OWN = pm.Parameter(name="mine", start=1.0, lower=0.1, upper=2.0, put=lambda law, value: law)
 test_parameters_that_do_not_fit_are_named = refusals(
     ((PARTS, "hnad.alpha", {}), r"one of hand, turn, rest, but is 'hnad' \(did you mean 'hand'"),
     ((PARTS, "damping", {}), "name damping for a law that has it"),
@@ -297,6 +298,7 @@ test_parameters_that_do_not_fit_are_named = refusals(
     ((PARTS_LAW, "alpha", {"alpha": (0.0, 2)}), "be above 0"),
     ((PARTS_LAW, "alpha", {"alpha": (1, 60)}), "at most the largest stable gain, 50 1/s, but are 1 and 60"),
     ((PARTS_LAW, "alpha", {"damping": (1, 2)}), "`bounds` must be one of alpha"),
+    ((PARTS_LAW, ("alpha", OWN), {"mine": (1, 2)}), "`bounds` must leave out a Parameter, which has its own"),
     of=lambda case: pm.chosen(case[1], case[0], case[2], GAINS),
 )
 
