@@ -109,8 +109,7 @@ def advise(
     """
     errors.kind("law", law, Law)
     rates = rates_of(law)
-    several = {rate for *_, rate in rates} | set(np.ravel(np.asarray(law.alpha, float)).tolist())  # per axis, too
-    if drive is not None and len(check_drive(drive, law.chain).joints) > 1 and len(several - {0.0}) > 1:
+    if drive is not None and mixed(law, drive):
         must = (
             "be the same for all joints where gains differ: no limit holds at every posture. Use one gain for all "
             "tasks, posture and limits, or give the fast joints the slow joints' lag"
@@ -119,6 +118,12 @@ def advise(
     loop = gains(Ts=Ts, drive=drive, method=method, M=passes_of(stage))
     limits = dict.fromkeys(("task", "posture"), loop) | dict.fromkeys(("joint limits", "wall"), loop.by("EE"))
     return Advice(gains=loop, rates=tuple(Rate(name, kind, rate, limits[kind]) for name, kind, rate in rates))
+
+
+def mixed(law, drive: Drive) -> bool:
+    """Return whether joints differ in their drives, and rates differ, too: then no limit holds at every posture."""
+    several = {rate for *_, rate in rates_of(law)} | set(np.ravel(np.asarray(law.alpha, float)).tolist())
+    return len(check_drive(drive, law.chain).joints) > 1 and len(several - {0.0}) > 1
 
 
 def rates_of(law) -> list[tuple[str, str, float]]:

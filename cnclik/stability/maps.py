@@ -17,6 +17,7 @@ from cnclik.law.law import check_loop
 from cnclik.measure.outcome import Ending, outcome
 from cnclik.precision import in_float64
 from cnclik.record import replace
+from cnclik.stability.advice import mixed
 from cnclik.stability.gain import mixed_share
 from cnclik.stability.linear import amplification, gain_removing, passes_of, stability_limit
 
@@ -58,7 +59,8 @@ def stability_map(
       drive: what lies between command and motion; its dead time is in samples, all else in seconds.
       progress: called as progress(loops done, loops in all), or None.
     Returns: an xarray.Dataset over (M, Ts, alpha), or those that are axes, of the fields of `Outcome`, and `limit` over
-      (M, Ts): the largest gain that is stable at any posture, exact for J# without damping, see `gains`.
+      (M, Ts): the largest gain that is stable at any posture, exact for J# without damping, see `gains`; NaN where
+      joints differ in their drives and rates in size: then there is none, see `advise`.
     """
     import xarray as xr
 
@@ -113,6 +115,8 @@ def stability_map(
     loops = jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *endings)
 
     def limit(Ts, M=None):
+        if mixed(law, drive):
+            return np.nan
         return largest_stable(method, stage if M is None else replace(stage, M=int(M)), drive, Ts=Ts)
 
     made = xr.Dataset(

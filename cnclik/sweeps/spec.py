@@ -33,6 +33,7 @@ from cnclik.problem.build import Problem, drive_from, problem_from
 from cnclik.problem.names import load, stage_from
 from cnclik.problem.reference import OPTIONS as OF_PATHS
 from cnclik.reading import read_toml
+from cnclik.stability.advice import mixed
 from cnclik.stability.maps import largest_stable
 from cnclik.sweeps import axes as forms
 from cnclik.sweeps.axes import COMPILED_IN, NAMES, Axis, compiled_in, known_keys
@@ -168,9 +169,12 @@ class Spec:
         largest; these two over the axes that they depend on, and not for too many values.
 
         The limit holds at any posture, exactly where J# is exact; with damping a little more may be stable. inf: any z.
+        There is none where joints differ in their drives and rates in size.
         """
         with jax.enable_x64(True):
             limit, alpha, Ts = (self._over(of, name, most) for name, most in MOST.items())
+            made = (self.loop(program, end).build() for program in self.programs() for end in (np.argmin, np.argmax))
+            limit = None if any(mixed(one.law, one.drive) for one in made if one.drive is not None) else limit
         z = None if alpha is None or Ts is None else alpha * Ts
         each = {LIMIT: (limit, "largest stable z of linear theory"), Z: (z, "z = α·Ts")}
         coords = of.coordinates(self.all_units())

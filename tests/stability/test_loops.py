@@ -52,6 +52,8 @@ def test_different_drives_and_different_gains_have_no_limit():
     arm, drive = ck.planar_arm([1.0, 1.0]), Drive(delay=2, lag=[0.2, 0.02])
     with pytest.raises(ArgumentError, match="one gain for all"):
         advise(ck.Law(arm, tasks, alpha={"x": 1.147, "y": 0.014}), Ts=0.01, method="EE", drive=drive)
+    law = ck.Law(arm, ck.position("xy"), alpha=np.array([1.147, 0.014]))
+    assert np.isnan(stability_map(law, ck.hold([1.0, 1.0]), Q2, alpha=[1.0, 2.0], Ts=0.01, N=4, drive=drive).limit)
     said = advise(ck.Law(arm, tasks, alpha={"x": 1.0, "y": 1.0}), Ts=0.01, method="EE", drive=drive)
     assert said.gains.recommended == pytest.approx(
         gains(Ts=0.01, method="EE", drive=Drive(delay=2, lag=0.2)).recommended

@@ -357,6 +357,8 @@ def test_the_limit_is_over_the_axes_on_which_it_depends():
     dims, values = limit({}, ["alpha", "Ts"], "alpha_Ts", z=[0.5, 1.5], law={"quick": quick, "slow": slow})
     assert dims == ("law", "z")
     np.testing.assert_allclose(values, [[0.5, 1.5], [1.0, 3.0]], rtol=1e-9)
+    assert limit({"lag": [0.1, 0.2]}, method=["EE"])[0] == ("method", "Ts")
+    assert limit({"lag": [0.1, 0.2]}, method=["EE"], alpha=[[1.0, 2.0]]) is None  # drives and gains differ
     law, rate = {"given": {"alpha": 2}, "scaled": {"alpha": "r"}}, {"one": {"r": 3}, "more": {"r": "10*k"}}
     dims, values = limit({"Ts": 0.1}, ["alpha", "Ts", "method"], "alpha_Ts", k=[1.0, 2.0], law=law, rate=rate)
     assert dims == ("law", "rate", "k")  # which only two tables together use
