@@ -176,6 +176,9 @@ class _Case:
             return Behaviour.TOO_SHORT, f"{said}, {100 * left:.2g} % of that in the quarter before", NO_REMEDY
         if moves:
             return Behaviour.TOO_SHORT, f"{said}, and still changes", self.unstable()
+        if self.N * self.Ts < self.takes():
+            words = f"{said}; a loop of this gain and drive settles later than these {self.N * self.Ts:.3g} s"
+            return Behaviour.TOO_SHORT, words, self.unstable()
         why = "its tasks contradict each other there" if self.law.task.tasks else "the run does not show by what"
         return Behaviour.HELD_BACK, f"{why}; {said} and stays", self.unstable()
 
@@ -316,6 +319,14 @@ class _Case:
         kept = " within the joint limits" * bool(nearest.status == ReachStatus.AT_LIMIT)
         when = "" if self.still else f" at t = {worst:.4g} s"
         return f"out of reach{when}: the nearest posture found{kept} is {far} away"
+
+    def takes(self) -> float:
+        """The time in which a linear loop with the least gain that counts settles [s]; 0 where that is not known."""
+        rates = self.alpha[self.counted]
+        if self.advice is None or not rates.any():
+            return 0.0
+        response = self.advice.gains.at(rates[rates > 0].min())
+        return 0.0 if response is None else response.settling_time
 
     def lower_gain(self) -> tuple[dict, str]:
         """The recommended gain, where one is above that without overshoot; else damping, next to a singularity."""

@@ -35,7 +35,7 @@ def planar(alpha, **options):
     ("alpha", "delay", "N", "kind"),
     [(5.0, 0, 60, "settled"), (1.0, 0, 20, "too short to tell"), (19.8, 0, 60, "swinging"), (20.5, 0, 60, "growing"),
      (30.0, 0, 60, "growing"), (0.0, 0, 60, "held back"), (6.0, 2, 40, "too short to tell"),
-     (0.1, 0, 60, "too short to tell")],
+     (0.1, 0, 60, "too short to tell"), (0.01, 0, 60, "too short to tell")],
 )  # fmt: skip
 def test_a_held_target(alpha, delay, N, kind):  # one swings in ten steps a period: that is no shaking
     said = judge(planar(alpha), NEAR, Q5, 0.1, N, drive=Drive(delay=delay))
