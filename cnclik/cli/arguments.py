@@ -88,7 +88,7 @@ def parse(verb, argv, *, prog, description) -> dict:
             continue
         several = [value] if equals else _words(one, queue)
         del queue[: 0 if equals else len(several)]
-        if not several:
+        if not any(several):
             raise errors.fail(one.name, f"be given {one.values}", "has no value")
         if one in words and not (one.several and one.kind == NAME):
             raise errors.fail(one.name, "be given once", "is given twice")
