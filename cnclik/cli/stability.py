@@ -29,7 +29,7 @@ def run(
     *,
     speed: float = 0.1,
     draw: tuple[Literal["gains", "plane", "map"], ...] = (),
-    out: str = "stability-out",
+    out: str | None = None,
     json: bool = False,
     overwrite: bool = False,
     **loop,
@@ -43,7 +43,7 @@ def run(
       speed: speed of the tip [m/s], at least 0, for which lag, tracking error and joint velocities are given.
       draw: figures: gains over sampling time and dead time; stability regions of methods in the complex z-plane; a map
         of simulated loops over alpha and Ts, of the robot or of the paper's planar arm.
-      out: folder for figures and their data (netCDF).
+      out: folder for figures and their data (netCDF); default: stability-out.
       json: print the answer as JSON, without figures.
     """
     from cnclik.integrate.drive import Drive
@@ -51,6 +51,9 @@ def run(
 
     if json and draw:
         raise errors.fail("json", "be left out with --draw", "is given")
+    if out is not None and not draw:
+        raise errors.fail("out", "come with --draw", "comes without")
+    out = "stability-out" if out is None else out
     made = None if robot is None else problem(robot, loop)
     given = in_own_units(loop) if made is None else in_own_units(loop, made.Ts)
     alone = [name for name in given if name not in (*DRIVE, "Ts", "method", "M", "alpha")]

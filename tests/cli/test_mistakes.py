@@ -68,6 +68,7 @@ MISTAKES = [
     ("reach planar:1,1 text.txt", "`TARGETS` must end with .csv, but is 'text.txt'"),
     ("reach planar:1,1 --random 3 --out x.txt", "`--out` must end with .csv"),
     ("stability --draw chart", "Option `--draw` must be some of gains, plane, map, but is 'chart'."),
+    ("stability --out figures", "Option `--out` must come with --draw, but comes without."),
     ("stability --task xy", "Option `--task` must come with ROBOT or --draw map, but comes without."),
     ("sweep study.toml --distributed here", "must be auto or HOST:PORT:PROCESSES:PROCESS, but is 'here'"),
     ("sweep study.toml", "'alpa' (did you mean 'alpha'?)."),
