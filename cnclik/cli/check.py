@@ -55,7 +55,7 @@ def run(
         )
     if json:
         findings = {"findings": answer.findings, "broken": len(answer.broken)}
-        print_json(findings | {"Ts": answer.Ts, "rows": answer.rows})
+        print_json(findings | {"Ts": answer.Ts, "Ts_from": recorded.stamps, "rows": answer.rows})
     else:
         print(f"{answer}\n{answer.rows} rows, Ts = {1e3 * answer.Ts:.4g} ms ({recorded.stamps}).")
     if answer.broken:

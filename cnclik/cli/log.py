@@ -1,5 +1,6 @@
 """A log that a verb reads: its columns, its sampling time, and which of them are commands and which motion."""
 
+import contextlib
 import dataclasses
 import math
 import pathlib
@@ -78,7 +79,7 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     """
     import numpy as np
 
-    from cnclik.diagnosis.recording import LARGEST
+    from cnclik.diagnosis.recording import LARGEST, spacing
     from cnclik.problem.tables import read_columns
 
     names, table = read_columns("LOG", log)
@@ -95,6 +96,11 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     if t is None and Ts is None:
         raise errors.fail("Ts", "be given where no column is called t, time or stamp", "is not")
     stamps = f"{names[times[0]] if times else '--Ts'}, read in {unit}" if Ts is None else "--Ts"
+    if Ts is not None and t is not None and len(t) > 1:
+        apart = float(np.mean(np.diff(t)))
+        with contextlib.suppress(errors.ArgumentError):  # of times that do not increase
+            apart = spacing(t)
+        stamps += f", though the stamps are {1e3 * apart:.4g} ms apart" * (abs(apart / Ts - 1) > APART)
     at = {str(i + 1): i for i in range(len(names))} | {name: i for i, name in enumerate(names)}
     chosen = [at[errors.one_of("columns", column, at if column in at else names)] for column in columns or ()]
     left_out = {*times, *no_motion(names, table)}
@@ -104,16 +110,11 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
 
 
 def sampled(log: Log) -> float:
-    """Ts [s] of a log without gaps: as given, or from its stamps, which a given one may contradict."""
-    import numpy as np
-
+    """Ts [s] of a log without gaps: as given, or from its stamps."""
     from cnclik.diagnosis.recording import sampling_time
 
     with errors.called("t", log.stamps.partition(",")[0]):
-        Ts = sampling_time(log.t, log.Ts)
-    if log.Ts is not None and log.t is not None and abs((apart := np.mean(np.diff(log.t))) / Ts - 1) > APART:
-        log.stamps += f", though the stamps are {1e3 * apart:.4g} ms apart"
-    return Ts
+        return sampling_time(log.t, log.Ts)
 
 
 # --- which column is what -----------------------------------------------------------------------------

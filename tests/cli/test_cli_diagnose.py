@@ -125,6 +125,7 @@ def test_joints_of_a_log_are_in_the_order_of_the_robots(tmp_path, capsys):
         (["--tip", "hand"], 2, "Option `--tip` must come with ROBOT, but comes without."),
         (["panda"], 2, "must have a column for each of the chain's 7 joints, but has 1"),
         (["--limits", "panda"], 2, "must be a single number, but has 7"),
+        (["--Ts", "2ms"], 0, "1000 rows, Ts = 2 ms (--Ts, though the stamps are 1 ms apart)."),
         (["--json"], 0, '"what": "behind its command", "column": "j1_pos", "value": 0.1, "unit": "rad", "at": 0.5,'),
     ],
 )
