@@ -37,6 +37,8 @@ def run(
         from cnclik.problem.names import load
 
         chain = load(robot, tip)
+        motion = recorded.motion  # joints of that name, too, such as index_1 at rest, which may be a counter elsewhere
+        recorded.motion = [i for i, name in enumerate(recorded.names) if i in motion or name in chain.joint_names]
     elif tip is not None:
         raise errors.fail("tip", "come with ROBOT", "comes without")
     limits = limits or (robot if robot in PUBLISHED else None)

@@ -14,6 +14,8 @@ from cnclik.errors import ArgumentError
 from tests.diagnosis.logs import loop, servo
 
 TS = 0.002
+FINGER = """<robot name="finger"><link name="palm"/><link name="tip"/><joint name="index_1" type="continuous">
+<parent link="palm"/><child link="tip"/></joint></robot>"""
 
 
 def write(path, names, *columns):
@@ -112,6 +114,13 @@ def test_joints_of_a_log_are_in_the_order_of_the_robots(tmp_path, capsys):
     q[:, 0] = 2.4e-3 * np.arange(100)  # a speed that joint 7 may have, and joint 1 may not
     main(["check", write(tmp_path / "log.csv", names, 1e-3 * np.arange(100), q[:, 0], *q.T), "panda"])
     assert "No limit is broken." in capsys.readouterr().out
+
+
+def test_a_joint_that_rests_is_a_joint_whatever_its_name(tmp_path, capsys):
+    """Whole numbers in a column index_1 may count rows; the robot's own joint of that name was left out."""
+    (tmp_path / "hand.urdf").write_text(FINGER)
+    main(["check", write(tmp_path / "log.csv", ["t", "index_1"], 0.01 * K, 0 * K), str(tmp_path / "hand.urdf")])
+    assert "index_1   0 rad/s" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
