@@ -125,9 +125,12 @@ def _of_robot(found, made, speed, of_file) -> dict:
     law, facts = made.law, {"name": made.name}
     limit = np.asarray(law.chain.velocity_limit, float)
     if law.task.lengths and not law.task.tasks and np.isfinite(limit).any():  # a stack has several tips
-        inverse = np.linalg.pinv(law.task.rows_at(modelled(law.chain), np.asarray(made.q0, float)))
-        share = np.linalg.norm(inverse[:, list(law.task.lengths)], axis=1) * speed / limit
+        rows, tip = law.task.rows_at(modelled(law.chain), np.asarray(made.q0, float)), list(law.task.lengths)
+        inverse = np.linalg.pinv(rows)[:, tip]
+        share = np.linalg.norm(inverse, axis=1) * speed / limit
         facts |= {"joint": law.chain.joint_names[int(np.argmax(share))], "share_of_its_velocity_limit": share.max()}
+        if not np.allclose(rows @ inverse, np.eye(len(rows))[:, tip], atol=1e-6):  # singular: not in every direction
+            facts |= {"joint": None, "share_of_its_velocity_limit": None}
     drive = None if found.assumed else made.drive
     rates = advise(law, Ts=made.Ts, method=made.method, stage=made.stage, drive=drive).rates
     each = [{n: getattr(rate, n) for n in ("name", "kind", "rate", "stable", "within")} for rate in rates]
@@ -165,7 +168,9 @@ def _print(found, facts, speed) -> None:
     print("The same loop elsewhere, by explicit Euler:")
     print_table(*((where, in_words(of.value or 0.0), of.meaning) for where, of in found.elsewhere.items()), left=3)
     robot = facts.get("robot", {})
-    if "joint" in robot:
+    if "joint" in robot and robot["joint"] is None:
+        print(f"{robot['name']} at its start: no joint velocities move the tip in the worst direction: J is singular.")
+    elif "joint" in robot:
         most = f"{100 * robot['share_of_its_velocity_limit']:.3g} % of joint {robot['joint']}'s velocity limit"
         print(f"{robot['name']} at its start: {speed:g} m/s in the worst direction needs {most}.")
     for rate in robot.get("rates", ()):
