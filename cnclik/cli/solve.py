@@ -85,8 +85,9 @@ def _facts(law, run) -> dict:
                 facts[f"{name} error [{unit}]".strip()] = f"RMS {rms}, largest {largest}, last {last}"
     most = np.nan_to_num(np.abs(np.asarray(run.qdot, float)).max(axis=0), nan=np.inf)
     limits = np.maximum(np.array(law.chain.velocity_limit, float), 1e-12)
-    share = np.divide(most, limits, where=np.isfinite(limits), out=np.zeros_like(most))
-    i = int(np.argmax(share if share.any() else most))
-    fast = f"up to {plainly(most[i])} {law.chain.units[i]}/s ({law.chain.joint_names[i]})"
-    limit = f", {plainly(100 * share[i])} % of its limit" if share.any() else ", no limits"
-    return facts | {"steps": counted(run.status), "joint velocity": fast + limit}
+    share = np.divide(most, limits, where=np.isfinite(limits), out=np.full_like(most, -1.0))  # −1 without a limit
+    (i, k), names = (int(np.argmax(of)) for of in (most, share)), law.chain.joint_names
+    whose = "its limit" if i == k else f"the limit of {names[k]}"
+    limit = f"{plainly(100 * share[k])} % of {whose}" if share[k] >= 0 else "no limits"
+    fast = f"up to {plainly(most[i])} {law.chain.units[i]}/s ({names[i]}), {limit}"
+    return facts | {"steps": counted(run.status), "joint velocity": fast}

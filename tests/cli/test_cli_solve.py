@@ -113,6 +113,17 @@ def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
     assert re.search(r"the error is at most [\d.]+ nm", said) and not re.search(r" 0 µs|e-\d+ µ", said), said
 
 
+def test_the_fastest_joint_is_named_and_whose_limit_is_nearest(capsys, tmp_path):
+    (tmp_path / "hand.urdf").write_text(HAND.replace('velocity="3"', 'velocity="0.1"', 1))
+    run = ["solve", tmp_path / "hand.urdf", "--task", "xy", "--q0", 0.5, 0.9, 0.2, "--target", 0.3, 0.3, "--N", 40]
+    run += ["--no-figures", "--out", tmp_path / "out"]
+    fast = re.search(r"joint velocity up to (\S+) rad/s \((j\d)\), \S+ % of the limit of j1", shown(capsys, *run))
+    with xr.open_dataset(tmp_path / "out" / "trajectory.nc") as data:
+        most = np.abs(data.qdot.values).max(0)
+    assert fast[2] == f"j{1 + most.argmax()}" != "j1" and float(fast[1]) == pytest.approx(most.max(), rel=1e-2)
+    assert "up to 0 rad/s (j1), 0 % of its limit" in shown(capsys, *run, "--alpha", 0)  # not "no limits"
+
+
 def test_a_remark_is_one_line_and_an_entry_of_json(tmp_path, capsys):
     file = tmp_path / "hand.urdf"
     heavy = '<link name="arm"><inertial><mass value="heavy"/></inertial></link>'
