@@ -44,10 +44,12 @@ def run(
     limits = limits or (robot if robot in PUBLISHED else None)
     if limits is not None and Path(limits).suffix.lower() != ".csv":  # a robot's file comes after LOG
         errors.one_of("limits", limits, (*PUBLISHED, "FILE.csv"))
-    table = _table(Path(limits)) if limits is not None and limits not in PUBLISHED else limits
+    own, table = _table(limits)
+    joints = own if chain is None else [*chain.joint_names]
+    if sorted(own) == sorted(joints):
+        table = table | {what: [values[own.index(joint)] for joint in joints] for what, values in table.items()}
     places, sent = recorded.moved(), [] if recorded.chosen else recorded.pairs()[0]
-    if chain is not None:
-        places, sent = (_in_order(some, recorded.names, chain.joint_names) for some in (places, sent))
+    places, sent = (_in_order(some, recorded.names, joints) for some in (places, sent))
     whole = recorded.columns([*places, *sent])
     q, command = whole[:, : len(places)], whole[:, len(places) :] if sent else None
     t, names = None if recorded.t is None else recorded.t[: len(q)], [recorded.names[i] for i in (*places, *sent)]
@@ -67,15 +69,19 @@ def run(
 def _in_order(places, names, joints) -> list:
     """Columns in the order of the joints whose names they hold, if each joint has one; else as they come."""
     of = [max((joint for joint in joints if joint in names[i]), key=len, default="") for i in places]
-    return [places[of.index(joint)] for joint in joints] if sorted(filter(None, of)) == sorted(joints) else places
+    found = any(of) and sorted(filter(None, of)) == sorted(joints)
+    return [places[of.index(joint)] for joint in joints] if found else places
 
 
-def _table(file) -> dict:
-    """{quantity: (k,)} of a table of limits."""
-    from cnclik.diagnosis.check import ORDERS
-    from cnclik.problem.tables import read_columns
+def _table(limits) -> tuple[list, dict]:
+    """(names of joints, {quantity: (k,)}) of limits, published ones or a table's; names are [] where there are none."""
+    from cnclik.diagnosis.check import ORDERS, PUBLISHED
+    from cnclik.problem.tables import read_columns, read_rows
 
-    names, table = read_columns("limits", file)
+    if limits is None or limits in PUBLISHED:
+        return [f"{limits}_joint{i}" for i in range(1, 8)] if limits else [], PUBLISHED.get(limits, {})
+    names, table = read_columns("limits", Path(limits))
     for name in names:
         errors.one_of("limits", name, (*ORDERS, "joint"))
-    return {name: table[:, i] for i, name in enumerate(names) if name in ORDERS}
+    joints = [row[names.index("joint")].strip() for row in read_rows("limits", limits)[1:]] if "joint" in names else []
+    return joints, {name: table[:, i] for i, name in enumerate(names) if name in ORDERS}

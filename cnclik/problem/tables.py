@@ -18,13 +18,7 @@ def read_columns(argument: str, file) -> tuple:
 
     Raises: ArgumentError, naming the argument, for a file that cannot be read, or rows that do not fit.
     """
-    path = pathlib.Path(file)
-    try:
-        text = read_bytes(argument, path, "a CSV file").decode("utf-8-sig")
-        rows = list(csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#")))
-    except (UnicodeDecodeError, csv.Error) as error:
-        reason = "is no text in UTF-8" if isinstance(error, UnicodeDecodeError) else error
-        raise errors.fail(argument, "name a CSV file that can be read", f"{path.name}: {reason}") from None
+    path, rows = pathlib.Path(file), read_rows(argument, file)
     numbers = [quantities.number(cell) for cell in rows[-1][0].split()] if rows else []
     if rows and (";" in rows[0][0] or (len(numbers) > 1 and None not in numbers)):
         raise errors.fail(argument, "have columns that are separated by commas", f"{path.name} holds {rows[0][0]!r}")
@@ -44,6 +38,17 @@ def read_columns(argument: str, file) -> tuple:
                 found = f"row {k + 1} of {path.name} holds {cell!r}{quantities.hint(cell)}"
                 raise errors.fail(argument, "hold numbers, as many in every row", found)
     return names, np.array(columns, float).T.reshape(-1, len(names))  # None becomes NaN
+
+
+def read_rows(argument: str, file) -> list:
+    """The texts of the rows of a CSV file, without empty lines and # comments. Raises: as `read_columns`."""
+    path = pathlib.Path(file)
+    try:
+        text = read_bytes(argument, path, "a CSV file").decode("utf-8-sig")
+        return list(csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        reason = "is no text in UTF-8" if isinstance(error, UnicodeDecodeError) else error
+        raise errors.fail(argument, "name a CSV file that can be read", f"{path.name}: {reason}") from None
 
 
 def read_points(argument: str, file, task, *, timed=False) -> tuple:

@@ -116,6 +116,18 @@ def test_joints_of_a_log_are_in_the_order_of_the_robots(tmp_path, capsys):
     assert "No limit is broken." in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("limits", "joints"), [("limits.csv", ["b", "a"]), ("fr3", [f"fr3_joint{i}" for i in range(1, 8)])]
+)
+def test_limits_belong_to_joints_by_their_names(tmp_path, monkeypatch, capsys, limits, joints):
+    """Published or a table's, they were those of the columns in their order."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "limits.csv").write_text("joint,velocity\nb,1\na,5.26\n")
+    q = 4e-3 * K * np.arange(len(joints))[:, None] / (len(joints) - 1)  # the last one at 4 rad/s
+    main(["check", write(tmp_path / "log.csv", ["t", *joints[::-1]], 1e-3 * K, *q[::-1]), "--limits", limits])
+    assert "No limit is broken." in capsys.readouterr().out
+
+
 def test_a_joint_that_rests_is_a_joint_whatever_its_name(tmp_path, capsys):
     """Whole numbers in a column index_1 may count rows; the robot's own joint of that name was left out."""
     (tmp_path / "hand.urdf").write_text(FINGER)
