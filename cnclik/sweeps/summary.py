@@ -4,6 +4,7 @@ import functools
 import itertools
 import json
 import operator
+import warnings
 
 import numpy as np
 
@@ -95,7 +96,9 @@ def table(data) -> list:
         values = data[name].astype(float).expand_dims("metric")  # there are statistics of a single loop, too
         over = ["metric", *(d for d in data[name].dims if d in inner)]
         finite = np.isfinite(values)
-        statistics = values.quantile([*STATISTICS.values()], over, method="lower").to_dataset("quantile")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of what no loop has, such as `stable` on a path
+            statistics = values.quantile([*STATISTICS.values()], over, method="lower").to_dataset("quantile")
         statistics = statistics.rename(dict(zip(STATISTICS.values(), STATISTICS, strict=True)))
         statistics["mean"], statistics["finite"] = values.where(finite).mean(over), finite.mean(over)
         units = ("metric", [data[name].attrs.get("units", "")])

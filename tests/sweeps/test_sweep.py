@@ -244,6 +244,12 @@ def test_the_best_loop_is_safe_and_judged_by_its_worst_start():
     assert summary.best(judged().drop_vars("final_error")) == []
 
 
+@pytest.mark.filterwarnings("error")
+def test_what_is_defined_nowhere_has_statistics_without_a_warning():
+    rows = summarize(judged(stable=np.full(SHAPE, np.nan)))  # of moving targets
+    assert np.isnan([row["median"] for row in rows if row["metric"] == "stable"]).all() and len(rows) == 6
+
+
 def test_a_loop_beyond_the_linear_limit_is_not_safe():
     """Of a sweep that measures an error alone, a short run may end before it shows that it diverges."""
     data = judged(final_error=16.0 - ERROR).drop_vars(["over_velocity", "stable"])
