@@ -171,8 +171,8 @@ def _rows(t, moved, Ts) -> tuple:
 
 
 def around(steps):
-    """The largest of the three steps (N,) on either side of each."""
-    return np.nanmax([np.roll(steps, s) for s in (-3, -2, -1, 1, 2, 3)], axis=0, initial=0.0)
+    """The largest of the three steps (N,) on either side of each; NaN where all lie across gaps."""
+    return np.fmax.reduce([np.roll(steps, s) for s in (-3, -2, -1, 1, 2, 3)])
 
 
 def _motion(t, q, gaps, Ts, limit, name, unit, resolution) -> list:

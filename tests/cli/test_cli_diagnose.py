@@ -135,6 +135,7 @@ def test_a_joint_that_rests_is_a_joint_whatever_its_name(tmp_path, capsys):
     assert "index_1   0 rad/s" in capsys.readouterr().out
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
@@ -147,6 +148,7 @@ def test_a_joint_that_rests_is_a_joint_whatever_its_name(tmp_path, capsys):
         (["panda"], 2, "must have a column for each of the chain's 7 joints, but has 1"),
         (["--limits", "panda"], 2, "must be a single number, but has 7"),
         (["--Ts", "2ms"], 0, "1000 rows, Ts = 2 ms (--Ts, though the stamps are 1 ms apart)."),
+        (["--Ts", "0.1ms"], 0, "8,991 rows"),  # a gap before every row
         (["--json"], 0, '"what": "behind its command", "column": "j1_pos", "value": 0.1, "unit": "rad", "at": 0.5,'),
     ],
 )
