@@ -124,6 +124,8 @@ def _value(one, words):
     numbers = numbers_of(one, " ".join(words))
     if one is OPTIONS.get(one.name) or one.several:
         return numbers
+    if len(numbers) > 1:
+        raise errors.fail(one.name, f"be {one.values}", f"is {' '.join(words)!r}")
     return int(numbers[0]) if one.kind == INTEGER else numbers[0]
 
 

@@ -79,6 +79,7 @@ MISTAKES = [
     ("diagnose log.csv --command velocity", "Option `--command` must come with --step"),
     ("diagnose stack.csv --tasks b=-3", "must be positive, but is -3"),
     (["diagnose", "log.csv", "--out", ""], "Option `--out` must be given a text, but has no value."),
+    (["diagnose", "log.csv", "--Ts", "1 2"], "Option `--Ts` must be a number, but is '1 2'."),
     ("diagnose log.csv --columns q3", "Option `--columns` must be one of t, q1, but is 'q3'"),
     ("diagnose log.csv --step --columns q1", "Option `--columns` must name as many motions as commands"),
     ("diagnose log.csv", "Argument `LOG` must have at least 16 rows, but has 3."),
