@@ -79,7 +79,7 @@ class LogCheck:
         table = [("", "column", "largest", "at", "limit", "of limit", "noise alone")]
         for each in self.findings:
             numbers = (each.value, each.limit, each.share, each.noise)
-            size, *rest = ("" if v is None else plainly(v, 4) for v in numbers)
+            size, *rest = ("" if v in (None, np.inf) else plainly(v, 4) for v in numbers)  # no share of a limit of 0
             table.append((each.what, each.column, f"{size} {each.unit}", f"{each.at:.7g} s", *rest))
         width = [max(map(len, cells)) for cells in zip(*table, strict=True)]
         form = f"{{:{width[0]}}}  {{:{width[1]}}}" + "".join(f"  {{:>{wide}}}" for wide in width[2:])

@@ -80,6 +80,7 @@ def test_how_far_the_tip_strays_half_way():
     check = check_log(None, 0.1 * np.arange(-6, 7.0), Ts=1.0, chain=arm)
     assert worst(check, "half-way between rows").value == pytest.approx(1e3 * (1 - np.cos(0.05)), rel=1e-6)
     assert [finding.what for finding in check.broken] == ["beyond its range", "velocity"]
+    assert "inf" not in str(check)  # nothing is a share of a limit of 0
     assert check.broken[0].value == pytest.approx(0.1)
     with pytest.raises(ArgumentError, match="`names` must be a list of 1 names, but is 'elbow'"):
         check_log(None, np.zeros(9), Ts=1.0, names="elbow")
