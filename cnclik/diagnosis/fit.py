@@ -44,12 +44,13 @@ class DriveFit:
         uncertainty. Of a velocity servo with an integral part, its lag without that part.
       interval: {name: (low, high)} of 95 % of each number. gain: (k,) motion per commanded motion.
       drift: (k,) motion without a command [rad/s, m/s]. rms: (k,) RMS residual [rad, m]; motion: (N, k) of the fit.
-      explained: share of the motions' variance.
+      Ts: sampling time [s]. explained: share of the motions' variance.
       recommended_alpha: gain of a loop on these measured joints that does not overshoot [1/s], by any method and over
         the interval, divided by the largest gain of a joint; None where the log does not determine it, see `note`.
     """
 
     drive: Drive
+    Ts: float
     interval: dict[str, tuple]
     gain: Float[np.ndarray, " k"]
     drift: Float[np.ndarray, " k"]
@@ -61,8 +62,9 @@ class DriveFit:
 
     @property
     def options(self) -> str:
-        """As `cnclik stability` and `tune` take it."""
-        said = [f"--{name.replace('_', '-')} {_said(getattr(self.drive, name))}" for name in self.interval]
+        """As `cnclik stability` and `solve` take it, with any Ts."""
+        said = [f"--delay {_said(1e3 * self.Ts * self.drive.delay)}ms"]
+        said += [f"--{name.replace('_', '-')} {_said(getattr(self.drive, name))}" for name in [*self.interval][1:]]
         return " ".join([*said, f"--command {self.drive.command}"])
 
     def __str__(self):
@@ -267,6 +269,7 @@ def _fitted(log, kind, fitted) -> DriveFit:
     moved = gain[:, None] * (log.response(kind, each, every) + log.base)
     return DriveFit(
         drive=_drive(log, kind, values),
+        Ts=log.Ts,
         interval=interval,
         gain=gain,
         drift=np.polyfit(log.t * log.Ts, (log.y - moved).T, 1)[0] * log.size[:, 0],

@@ -50,7 +50,9 @@ def test_a_drive_to_paste(tmp_path, capsys):
     motion = servo(command, 0.004, 2.0, natural_frequency=23.0, damping_ratio=2.3)
     log = write(tmp_path / "step.csv", ["t", "command", "position"], 0.004 * np.arange(200), command, motion)
     said = answer(capsys, log, "--step", "--out", tmp_path / "out")
-    assert said.startswith("--delay 2 --natural-frequency 23 --damping-ratio 2.3 --command position\n")
+    assert said.startswith("--delay 8ms --natural-frequency 23 --damping-ratio 2.3 --command position\n")
+    main(["stability", *said.partition("\n")[0].split()])  # at another Ts the dead time is as long
+    assert "0.8 samples (8 ms) of dead time" in capsys.readouterr().out
     assert (tmp_path / "out" / "diagnose.png").stat().st_size > 10_000
     said = answer(capsys, log, "--step", "--json", "--columns", "command", "position")
     assert said["drive"]["natural_frequency"] == pytest.approx(23, rel=1e-3) and said["explained"] > 0.999
