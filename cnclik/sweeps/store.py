@@ -34,14 +34,22 @@ class Store:
 
         self.path = errors.path("out", folder) / DATA
         try:
-            group: Any = zarr.open_group(self.path, mode=mode)
-            self.config = json.loads(str(group.attrs["config"]))
+            self.group: Any = zarr.open_group(self.path, mode=mode)
+            self.config = json.loads(str(self.group.attrs["config"]))
             with zarr.config.set({"array.write_empty_chunks": True}):  # a block of NaN is done, too
-                self.arrays = {name: group[name] for name in self.config["variables"]}
+                self.arrays = {name: self.group[name] for name in self.config["variables"]}
         except (OSError, KeyError, ValueError, TypeError, RecursionError) as error:
             raise errors.fail("out", f"hold a sweep's {DATA} or none", f"{self.path} is not one: {error}") from None
         axes = tuple(Axis(n, range(size), None if inner else ()) for n, size, inner in self.config["axes"])
         self.grid = Grid(axes, self.config["lanes"])  # as cut when the store was created
+
+    def labelled(self, spec) -> bool:
+        """Return whether all coordinates can be read, and those of the axes are a spec's."""
+        with contextlib.suppress(OSError, KeyError, ValueError, RuntimeError):  # of a damaged chunk
+            found = {name: array[...].tolist() for name, array in self.group.arrays() if name not in self.arrays}
+            wanted = Grid(spec.axes).coordinates({}).items()
+            return all(found[name] == np.asarray(values).tolist() for name, (_, values, _) in wanted)
+        return False
 
     def missing(self) -> list:
         """Return the blocks that are not done, or damaged."""
@@ -98,6 +106,9 @@ def opened(spec: Spec, folder) -> Store | None:
         if differing := [name for name in there | here if _compared(name, there) != _compared(name, here)]:
             must = "hold results of this very spec (another --out keeps both)"
             raise errors.fail("out", must, f"differs in {', '.join(differing)}: see config of {store.path}")
+    if not store.labelled(spec):
+        must = "hold whole coordinates: remove it, or give another --out"
+        raise errors.fail("out", must, f"those of {store.path} are damaged")
     return store
 
 

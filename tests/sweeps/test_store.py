@@ -94,6 +94,14 @@ def test_damaged_blocks_are_found_and_done_again(path, undisturbed, copy):
     assert_same(copy, undisturbed)
 
 
+def test_damaged_coordinates_are_refused(path, copy):
+    chunk = copy / "data.zarr/alpha/c/0"
+    for damaged in (chunk.read_bytes()[:-9] + bytes(9), None):
+        chunk.unlink() if damaged is None else chunk.write_bytes(damaged)
+        with pytest.raises(ArgumentError, match="hold whole coordinates"):
+            store.run(read(path), copy)
+
+
 def test_a_changed_spec_is_refused(path, undisturbed, copy):
     with pytest.raises(ArgumentError, match=r"must hold results of this very spec .* but differs in fixed: "):
         store.run(read(path, ["target=[0, 1]"]), copy)
