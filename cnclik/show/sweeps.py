@@ -342,7 +342,8 @@ def norm(values, layout):
     logarithmic, limits = is_logarithmic(values, layout), layout.table.get("limits")
     if limits or not logarithmic:
         of = colors.LogNorm if logarithmic else colors.Normalize
-        return of(*(limits or (known.min(), known.max())))
+        low, high = limits or (known.min(), known.max())
+        return of(known[known > 0].min() if logarithmic and low <= 0 else low, high)  # no logarithm begins at 0
     # Loops that ran away, or values at rounding, would waste the colours on decades that nobody looks at.
     positive = known[known > 0]
     high = positive[positive <= RAN_AWAY].max(initial=0.0) or positive.max()

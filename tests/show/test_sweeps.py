@@ -223,6 +223,13 @@ def test_curves_hold_the_datas_numbers():
     assert (panel.lines[0].get_ydata() == panel.get_ylim()[0]).all()
 
 
+def test_limits_from_0_on_a_logarithmic_scale_begin_at_the_least_value():
+    found = data(**PLANE)
+    figure = drawn(found, HEAT | {"limits": [0, 1], "log": True})
+    FigureCanvasAgg(figure).draw()
+    assert figure.axes[0].collections[0].norm.vmin == found.max_error.min()
+
+
 def test_panels_that_share_an_axis_show_all_values():
     found = data(case=["small", "large"], z=np.linspace(0.1, 0.9, 5))
     found["max_error"] = found.max_error * xarray.DataArray([1.0, 1e4], dims="case")
