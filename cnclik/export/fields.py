@@ -51,8 +51,10 @@ def names(paths) -> list:
 def identifiers(names, kind="task") -> list:
     """Return names as C identifiers; a name that starts with a digit gets its kind as a prefix."""
     words = [re.sub(r"[^A-Za-z0-9_]", "_", name) for name in names]
-    for i, word in enumerate(words):  # names that are equal in C
-        words[i] = f"{word}_{i}" if word in words[:i] else word if word[0].isalpha() else f"{kind}_{word}"
+    for i, word in enumerate(words):
+        words[i] = word if word[:1].isalpha() else f"{kind}_{word}"
+        while words[i] in words[:i]:  # names that are equal in C
+            words[i] += f"_{i}"
     return words
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.export.example import BUILD
-from cnclik.export.fields import parameters
+from cnclik.export.fields import identifiers, parameters
 from cnclik.export.trace import Request
 from cnclik.export.write import configuration
 from tests import bank
@@ -128,6 +128,8 @@ def test_names_are_words_of_c():
     task = ck.stack(**{"left-hand": ck.position(tip=LEFT), "left_hand": ck.position(tip=RIGHT), "2": ck.joints(["q1"])})
     step = native(ck.Law(ROBOT, task, alpha=1.0, inverse=ck.damped(0.1)), method="EE")
     assert step.names[1:7:2] == ("left_hand_position", "left_hand_1_position", "task_2_values")
+    odd = ["task_2", "2", "x__4", "x-", "x_", ""]  # equal only once they are words
+    assert identifiers(odd) == ["task_2", "task_2_1", "x__4", "x_", "x__4_4", "task_"]
 
 
 def test_walls_and_balance_are_described():
