@@ -30,11 +30,16 @@ class Names:
 
 def comment(text) -> str:
     """Return a block comment that is safe for any name of a joint."""
-    text = "".join(c if " " <= c <= "~" or c == "\n" else "?" for c in text)
-    for mark in ("*/", "/*", "??"):  # ends or starts of comments, trigraphs
-        text = text.replace(mark, f"{mark[0]} {mark[1]}")
+    text = _unmarked("".join(c if " " <= c <= "~" or c == "\n" else "?" for c in text))
     lines = [line for part in text.strip().split("\n") for line in (textwrap.wrap(part, 110) or [""])]
     return "\n".join(["/*", *(f" * {line}".rstrip() for line in lines), " */"]) + "\n"
+
+
+def _unmarked(text) -> str:
+    """Return a text without what ends or starts a comment, and without trigraphs."""
+    for mark in ("*/", "/*", "??"):
+        text = text.replace(mark, f"{mark[0]} {mark[1]}")
+    return text
 
 
 def header(program, names, configuration) -> str:
@@ -82,7 +87,7 @@ def _struct(names, group, fields) -> str:
     lines = []
     for f in fields:
         kind, size = "int32_t" if f.kind == INT else names.real, f"[{f.size}]" if f.shape else ""
-        lines.append(f"  {kind} {f.name}{size};" + (f" /* {f.about} */" if f.about else ""))
+        lines.append(f"  {kind} {f.name}{size};" + (f" /* {_unmarked(f.about)} */" if f.about else ""))
     return "typedef struct {\n" + "\n".join(lines) + f"\n}} {names.type(group)};\n"
 
 

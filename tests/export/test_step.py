@@ -132,6 +132,11 @@ def test_names_are_words_of_c():
     assert identifiers(odd) == ["task_2", "task_2_1", "x__4", "x_", "x__4_4", "task_"]
 
 
+def test_no_name_ends_a_comment():
+    two = ck.join(ck.planar_arm([1.0]), ck.planar_arm([0.5]), prefix="a*/", keep=True)
+    assert "/* of a* /tip in the base frame [m] */" in native(two).header
+
+
 def test_walls_and_balance_are_described():
     """Each parameter has a meaning, and the configuration is whole: a mark that is no ASCII became a "?"."""
     robot, (left, right) = ck.load_urdf(BAXTER, tips=GRIPPERS), GRIPPERS
