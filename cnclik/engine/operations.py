@@ -51,7 +51,7 @@ def header(name) -> str:
 
 
 def number(value, dtype) -> str:
-    """A constant in C, exact."""
+    """A constant in C, exact in its type."""
     dtype = np.dtype(dtype)
     if dtype.kind == "b":
         return str(-int(value))
@@ -59,11 +59,13 @@ def number(value, dtype) -> str:
         suffix = ("U" if dtype.kind == "u" else "") + "LL" * (dtype.itemsize == 8)
         least = dtype.kind == "i" and value == np.iinfo(dtype).min
         return f"(-{-(int(value) + 1)}{suffix} - 1)" if least else f"{int(value)}{suffix}"
+    with np.errstate(over="ignore"):  # what is too large for the type is infinite, as in JAX
+        value = dtype.type(value)
     if math.isnan(value):
         return "NAN"
     if math.isinf(value):
         return "INFINITY" if value > 0 else "-INFINITY"
-    return str(np.float32(value)) + "f" if dtype.itemsize == 4 else repr(float(value))
+    return str(value) + "f" if dtype.itemsize == 4 else repr(float(value))
 
 
 def text(node, of) -> str:

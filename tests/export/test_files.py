@@ -13,6 +13,7 @@ from jax import lax
 
 import cnclik as ck
 from cnclik.cli import main
+from cnclik.engine.operations import number
 from cnclik.record import record
 from tests.bank import screws
 from tests.export.native import arm, native
@@ -149,6 +150,12 @@ def test_arrays_are_parameters_and_literals_are_compiled_in():
     step.parameters["alpha"] = 50.0
     wanted = ck.step(ck.replace(law, alpha=50.0), ck.hold(target), q, 0.0, 0.01, "EE")
     assert np.allclose(step(q, target, Ts=0.01).q, wanted.q, rtol=0, atol=1e-14)
+
+
+def test_a_limit_beyond_single_precision_is_infinite():
+    chain = ck.replace(arm(2), velocity_limit=np.array([1e300, 1.0]))
+    step = native(a_law(chain=chain, limits=ck.velocity_scaling()), method="EE", dtype="float32")
+    assert "velocity_limit" in step.parameters.dtype.names and number(-1e300, np.float32) == "-INFINITY"
 
 
 def test_what_a_users_record_calls_its_numbers_is_no_word_of_c():
