@@ -53,6 +53,10 @@ def c(
         errors.kind("law", law, Law)
         if reference is not None:
             check_loop(law, reference)
+    elif reference is not None:
+        raise errors.fail("reference", "be left out for a robot, whose kinematics have no target", "is given")
+    if stage is not None and (isinstance(stage, type) or not hasattr(stage, "tolerance")):
+        raise errors.fail("stage", "be a stage such as picard(5)", f"is {stage!r}")
     name = ("kinematics" if isinstance(law, Chain) else "step") if name is None else name
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", name):
         raise errors.fail("name", "be a C identifier of at most 60 letters such as clik_step", f"is {name!r}")

@@ -102,7 +102,7 @@ def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
     errors.kind("law", law, Law)
     method = named(method)
     errors.kind("reference", reference, REFERENCE, A_REFERENCE)
-    if not hasattr(stage, "tolerance"):
+    if isinstance(stage, type) or not hasattr(stage, "tolerance"):
         raise errors.fail("stage", "be a stage such as picard(5)", f"is {stage!r}")
     errors.number("Ts", Ts, positive=True)
     q = errors.array(name, q, (law.chain.n,), of="joint values")

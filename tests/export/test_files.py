@@ -124,6 +124,9 @@ test_what_cannot_be_exported_is_refused = refusals(
     ({"dtype": "float16"}, "`dtype` must"),
     ({"dtype": 3}, "`dtype` must be one of float64, float32, double, float, but is 3"),
     ({"reference": "circle"}, "`reference` must"),
+    ({"law": arm(2), "reference": ck.hold([1.0, 1.0])}, "`reference` must be left out for a robot"),
+    ({"stage": 3}, "`stage` must be a stage such as picard(5), but is 3"),
+    ({"stage": ck.picard, "method": "IE"}, "`stage` must be a stage such as picard(5)"),
     of=lambda law=a_law(), out="never", **options: ck.export.c(law, out=out, **options),
 )
 

@@ -113,6 +113,7 @@ test_bad_input = refusals(
     (lambda: solve(Q, 0.1, 3.0), r"`N` must be an integer, but is 3\.0\."),
     (lambda: solve(Q, 0.1, 3, 7), "`method` must be one of EE"),
     (lambda: solve(Q, 0.1, 3, "IE", 5), r"`stage` must be a stage such as picard\(5\), but is 5"),
+    (lambda: solve(Q, 0.1, 3, "IE", ck.picard), "`stage` must be a stage such as picard"),
     (lambda: solve(Q, 0.1, 3, t0=np.nan), "`t0` must be finite, but is nan"),
     (lambda: ck.solve(ARM, HOLD, Q, 0.1, 3), "`law` must be a Law, but is Chain"),
     (lambda: ck.solve(LAW, [1, 2], Q, 0.1, 3), r"`reference` must be a Reference such as hold\(...\), .* but is list"),
