@@ -102,6 +102,15 @@ def test_an_example_that_disagrees_says_so(folders, tmp_path, name, old, new, co
     assert returned == code and f"{agree} of 8 vectors agree" in said
 
 
+def test_what_rounding_decides_is_not_compared(folders, tmp_path):
+    """Of a nearly singular arm q̇; of others nothing but the vector with the NaN."""
+    short = a_law(chain=ck.planar_arm([1.0, 1e-6]), inverse=ck.pseudoinverse())
+    folder = ck.export.c(short, out=tmp_path / "made", method="EE")
+    builds(folder)
+    rows = [re.search(r"out_qdot.*?;", (at / "example.c").read_text(), re.S)[0] for at in (folder, *folders[:3])]
+    assert [len(re.findall("{.*NAN.*}", text)) for text in rows] == [8, 1, 1, 1]
+
+
 def test_the_source_has_no_allocation_no_recursion_and_nothing_global(folders):
     assert "a* / int x;" in (folders[0].parent / "odd" / "clik_main.h").read_text(encoding="utf-8")
     for folder in folders:
