@@ -62,6 +62,7 @@ _ABOUT = {
     "alpha": "gain of the error [1/s]",
     "damping": "lambda of the damped inverse [unit of J]",
     "threshold": "below which it is damped",
+    "M": "passes of an implicit stage, at most as many as were exported",
     "near_singular": "least singular value below which NEAR_SINGULAR is set",
     "feedforward": "factor of the desired velocity",
     "error_clamp": "largest error that the gain sees [m, rad]",

@@ -151,6 +151,11 @@ def test_the_command_line_writes_the_same(tmp_path, capsys):
         assert (tmp_path / "cli" / name).read_text() == (tmp_path / "python" / name).read_text()
 
 
+def test_the_passes_of_a_stage_are_at_most_those_exported():
+    step = native(a_law(), method="IE", stage=ck.picard(np.array(2)))
+    assert "int32_t M; /* passes of an implicit stage, at most" in step.header
+
+
 def test_arrays_are_parameters_and_literals_are_compiled_in():
     lengths = np.array([1.0, 0.8, 0.6])
     law = ck.Law(ck.planar_arm(lengths), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
