@@ -93,7 +93,8 @@ def _count(hit):
 def _along(of):
     """Return the position error along the path (N + 1, 1), positive if behind; 0 at rest. And along its tangent."""
     task = of.law.task
-    v = jax.vmap(lambda t: sample(of.reference, task, t)[1])(of.run.t)[:, np.array(task.lengths)]
+    # A user's path may allow no vmap.
+    v = jax.lax.map(lambda t: sample(of.reference, task, t)[1], of.run.t)[:, np.array(task.lengths)]
     speed = _norms(v)[:, None]
     tangent = jnp.where(speed > 0, v / jnp.where(speed > 0, speed, 1.0), 0.0)
     along = jnp.sum(_position(of) * tangent, axis=-1, keepdims=True)

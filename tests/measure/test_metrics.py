@@ -53,6 +53,13 @@ LAW, GOAL = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=1.0), ck.
 RUN = ck.solve(LAW, GOAL, jnp.array([0.2, 0.9]), 0.1, 3)
 
 
+def test_a_path_that_allows_no_batch_is_measured():
+    shape = jax.ShapeDtypeStruct((2,), RUN.q.dtype)
+    place = jax.custom_jvp(lambda t: jax.pure_callback(lambda t: np.array([t, 5.0]), shape, t))
+    place.defjvp(lambda t, dt: (place(*t), dt[0] * jnp.array([1.0, 0.0])))
+    assert measure_run(RUN, LAW, ck.path(place), ["final_along"])["final_along"] == RUN.e[-1, 0]
+
+
 def test_a_start_inside_the_tolerance():
     found = measure_run(ck.replace(RUN, e=0 * RUN.e), LAW, GOAL, ["steps_to_tolerance", "converged"])
     assert [*found.values()] == [0, 1]
