@@ -193,6 +193,19 @@ def _show(shape):
     return str(shape).replace("None", "n")
 
 
+def traced(name: str, fn, *args):
+    """Shapes of what a user's function makes of numbers that JAX traces."""
+    import jax
+
+    try:
+        return jax.eval_shape(fn, *args)
+    except ArgumentError:
+        raise
+    except Exception as error:
+        must = "be of functions that JAX traces, such as jnp.sin and jnp.where, and give numbers"
+        raise fail(name, must, f"raises {in_a_line(error)}") from error
+
+
 # --- names --------------------------------------------------------------------------------------------
 
 

@@ -184,7 +184,7 @@ def motion(reference, task: Task, t):
 def check(reference, task: Task) -> None:
     """Raise ArgumentError if the reference's targets do not fit the task."""
     for path, (one, parts) in zip(task.target_names, by_target(reference, task), strict=True):
-        target = jax.eval_shape(one.curve, 0.0)
         with errors.called("reference", ".".join(("reference", *path))):
+            target = errors.traced("reference", one.curve, 0.0)
             for part in parts.parts:
                 part.check(*target)

@@ -167,8 +167,9 @@ class Orientation(Position):
         return rotation
 
     def check(self, position, rotation):
-        if rotation is None:
-            raise errors.fail("reference", "give a rotation for this task", "gives a position only")
+        if getattr(rotation, "shape", None) != (3, 3):
+            found = "gives a position only" if rotation is None else f"gives one of shape {rotation.shape}"
+            raise errors.fail("reference", "give a rotation for this task", found)
 
     def x(self, robot: At):
         return log_so3(robot.rotation(self.tip, self.to))[places(self.axes)]

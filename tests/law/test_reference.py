@@ -173,6 +173,11 @@ def test_orientations_are_the_spline_of_quaternions_in_any_frame():
     close(found[2], (R3 * wanted).as_matrix(), atol=1e-12)
 
 
+def asked(fn):
+    law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.pose("x", "z"), alpha=1.0)
+    return ck.step(law, ck.path(fn), np.ones(2), 0.0, 0.1)
+
+
 test_bad_input = refusals(
     (lambda: ck.hold_at(ck.panda(), "pose", np.zeros(7)), "`task` must be a Task, but is str"),
     (lambda: ck.problem.start_from(ck.panda(), "pose"), "`task` must be a Task, but is str"),
@@ -197,6 +202,10 @@ test_bad_input = refusals(
     (lambda: jax.jit(lambda t: ck.waypoints(t, POINTS).curve(0.0))(TIMES), "`times` must be known numbers"),
     (lambda: ck.path(3), "`fn` must be a function of time, but is 3"),
     (lambda: ck.path(lambda t: (jnp.ones(2), jnp.eye(3))).curve(0.0), "`fn` must give a position, or a pose"),
+    (lambda: asked(lambda t: (np.sin(t), 1.0)), "`reference` must be of functions that JAX traces.* raises Tracer"),
+    (lambda: asked(lambda t: (1.0, 1.0) if t < 1 else (2.0, 2.0)), "`reference` must be of functions that JAX traces"),
+    (lambda: asked(lambda t: None), "`reference` must be of functions that JAX traces.* and give numbers"),
+    (lambda: asked(lambda t: ck.Pose(position=t * np.ones(3), rotation=np.eye(4))), r"gives one of shape \(4, 4\)"),
 )
 
 
