@@ -40,11 +40,8 @@ def wanted_at(reference: Reference | References, task: Task, t):
     of, each, found = of_tips(task), [], jax.jit(aims_of)(reference, task, t)  # else op by op
     values = iter([v for v, part in zip(found, task.parts, strict=True) if hasattr(part, "axes")])
     for aim in aims(of):
-        own = [(part.turns, next(values)) for part in aim.parts]
-        places, turns = ([value for kind, value in own if kind == turn] for turn in (False, True))
-        order = np.argsort(aim.linear) if len(aim.linear) == 3 else slice(None)  # as x y z
-        where = xp_for(*places).concatenate(places)[order] if places else None
-        each.append((where, turns[0] if turns else None))
+        own = {part.turns: next(values) for part in aim.parts}
+        each.append((own.get(False), own.get(True)))
     return of, each[0] if len(each) == 1 else dict(zip(_names(aims(of)), each, strict=True))
 
 

@@ -156,7 +156,11 @@ class Task:
     def __and__(self, other: Task) -> Task:
         if self.tasks or errors.kind("task", other, Task, "be a task such as ck.position()").tasks:
             raise errors.fail("task", "be joined before it has names, by ck.stack(name=task & task)", "has names")
-        return weighted(self.parts + other.parts, self.weight_of_parts + other.weight_of_parts)
+        made = weighted(self.parts + other.parts, self.weight_of_parts + other.weight_of_parts)
+        kinds = [{part.turns for part in of.parts} for _, of in made.targets]
+        if len(dict(made.targets)) < len(kinds) or sum(map(len, kinds)) < len(made.parts):
+            raise errors.fail("task", "have each position, orientation and joints once, tip by tip", f"is {made!r}")
+        return made
 
     def __repr__(self):
         said = []
@@ -258,11 +262,9 @@ def _aims(task):
     for path, of in task.targets:
         if not all(hasattr(part, "axes") for part in of.parts):
             raise errors.fail("task", "be of positions and orientations of tips", f"has {', '.join(of.names)}")
-        axes = [[i for p in of.parts if p.turns == turns for i in range(3)[places(p.axes)]] for turns in (False, True)]
-        if path in [aim.path for aim in every] or any(len({*some}) < len(some) for some in axes):
-            raise errors.fail("task", "have each axis of a tip once, in one place", f"has {', '.join(of.names)}")
-        tip, to = of.parts[0].tip, of.parts[0].to
-        every.append(Aim(path=path, parts=of.parts, tip=tip, to=to, linear=tuple(axes[0]), angular=tuple(axes[1])))
+        axes = {part.turns: tuple(range(3)[places(part.axes)]) for part in of.parts}
+        tip, to, linear, angular = of.parts[0].tip, of.parts[0].to, axes.get(False, ()), axes.get(True, ())
+        every.append(Aim(path=path, parts=of.parts, tip=tip, to=to, linear=linear, angular=angular))
     return tuple(every)
 
 

@@ -169,6 +169,7 @@ def test_arrays_are_parameters_and_literals_are_compiled_in():
     assert np.allclose(step(q, target, Ts=0.01).q, wanted.q, rtol=0, atol=1e-14)
 
 
+@pytest.mark.filterwarnings("ignore:overflow")
 def test_a_limit_beyond_single_precision_is_infinite():
     chain = ck.replace(arm(2), velocity_limit=np.array([1e300, 1.0]))
     step = native(a_law(chain=chain, limits=ck.velocity_scaling()), method="EE", dtype="float32")

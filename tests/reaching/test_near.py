@@ -9,7 +9,6 @@ import cnclik as ck
 from cnclik import ReachStatus
 from cnclik.reaching import search
 from cnclik.reaching.starts import spans, turned
-from cnclik.reaching.targets import wanted_at
 from tests import bank
 from tests.oracles import ARMS, robots
 from tests.reaching.test_reach import assert_ordered, drawn, tips
@@ -263,8 +262,3 @@ SLIDING = bank.screws(np.outer(np.arange(4), [1.0, 0.2, 0.0]), AXES, [4.0, 0.0, 
 def test_starts_in_one_bin_lead_to_the_same_place():
     assert_ordered(SLIDING)
     assert_ordered(bank.robot("two arms"), "two_tip", "one_tip")
-
-
-def test_where_a_path_is_has_its_coordinates_in_the_order_of_space():
-    task = (ck.position("z") & ck.position("xy")).on(ck.panda())
-    assert wanted_at(ck.hold([0.3, 0.1, 0.2]), task, 0.0)[1][0].tolist() == [0.3, 0.1, 0.2]

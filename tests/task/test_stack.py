@@ -129,6 +129,12 @@ test_what_is_refused = refusals(
     (lambda: ck.stack(), "`tasks` must be at least one, such as hands"),
     (lambda: ck.stack(a=ck.stack(b=LEFT)), "`a` must be a task without names of its own, but is a stack"),
     (lambda: ck.stack(a=LEFT) & RIGHT, "`task` must be joined before it has names"),
+    (
+        lambda: ck.position("x") & ck.position("y"),
+        "`task` must have each position, .* once, tip by tip, but is Task: x ",
+    ),
+    (lambda: LEFT & RIGHT & ck.orientation(tip=LEFT.parts[0].tip), "`task` must have each .* once, tip by tip"),
+    (lambda: ck.joints(["a"]) & ck.joints(["b"]), "`task` must have each .* joints once"),
     (lambda: ck.Law(HUMANOID, ck.joints(["head"]), alpha=1.0), "`joints` must be one of "),
     (lambda: ck.Law(ck.panda(), ck.pose(), alpha={}), "`alpha` must have a gain for each task; they are none"),
     (lambda: law(alpha={"feet": 1.0}), "`alpha` must have a gain for each task; they are feet, hands, torso"),
