@@ -107,8 +107,10 @@ def test_what_rounding_decides_is_not_compared(folders, tmp_path):
     short = a_law(chain=ck.planar_arm([1.0, 1e-6]), inverse=ck.pseudoinverse())
     folder = ck.export.c(short, out=tmp_path / "made", method="EE")
     builds(folder)
-    rows = [re.search(r"out_qdot.*?;", (at / "example.c").read_text(), re.S)[0] for at in (folder, *folders[:3])]
+    texts = [(at / "example.c").read_text() for at in (folder, *folders[:3])]
+    rows = [re.search(r"out_qdot.*?;", text, re.S)[0] for text in texts]
     assert [len(re.findall("{.*NAN.*}", text)) for text in rows] == [8, 1, 1, 1]
+    assert [len(re.findall("agree, but for [0-9]+ numbers that rounding", text)) for text in texts] == [1, 0, 0, 0]
 
 
 def test_the_source_has_no_allocation_no_recursion_and_nothing_global(folders):
