@@ -132,15 +132,18 @@ def check_log(
     units = ["rad"] * k if chain is None else list(chain.units)
     findings, kept, gaps = _rows(t, np.abs(np.diff(q, axis=0)).sum(1), Ts)
     rows, t, q, sent = len(q), t[kept], q[kept], sent[kept]
+    ways = [unwrapped(column, gaps) for column in (*q.T, *sent.T)]
     of_motion = [
-        _motion(t, column, gaps, Ts, most[j % k], names[j], units[j % k], resolution if j < k else None)
-        for j, column in enumerate([*q.T, *sent.T])
+        _motion(t, moved, wraps, gaps, Ts, most[j % k], names[j], units[j % k], resolution if j < k else None)
+        for j, (moved, wraps) in enumerate(ways)
     ]
     findings += [finding for kind in zip(*of_motion, strict=True) for finding in kind]
-    for j, behind in enumerate(np.abs(sent - q).T if command is not None else ()):
-        findings.append(_worst("behind its command", behind, t, names[j], units[j]))
+    for j, ((moved, wraps), (wanted, before)) in enumerate(zip(ways, ways[k:], strict=False)):
+        behind = wanted - moved
+        turns = np.round(behind / (2 * np.pi)) * np.any(wraps | before)  # one of both may wrap before the log
+        findings.append(_worst("behind its command", np.abs(behind - turns * 2 * np.pi), t, names[j], units[j]))
     if chain is not None:
-        findings += _half_way(chain, t, q, gaps)
+        findings += _half_way(chain, t, np.stack([moved for moved, _ in ways[:k]], 1), gaps)
     return LogCheck(findings=tuple(filter(None, findings)), Ts=Ts, rows=rows)
 
 
@@ -175,13 +178,16 @@ def around(steps):
     return np.fmax.reduce([np.roll(steps, s) for s in (-3, -2, -1, 1, 2, 3)])
 
 
-def _motion(t, q, gaps, Ts, limit, name, unit, resolution) -> list:
-    """Findings of joint values (N,), of each kind one or None. resolution: None of commands, which have no noise."""
+def unwrapped(q, gaps) -> tuple:
+    """(Joint values (N,) that go on where they wrap by 2π, whether each step does)."""
     step = np.diff(q)
     wraps = (np.abs(np.abs(step) - 2 * np.pi) < TURN) & ~gaps
-    step = np.where(wraps, step - np.sign(step) * 2 * np.pi, step)
-    q = q[0] + np.concatenate([[0.0], np.cumsum(step)])
-    step[gaps] = np.nan
+    return q - 2 * np.pi * np.cumsum(np.append(0.0, np.sign(step) * wraps)), wraps
+
+
+def _motion(t, q, wraps, gaps, Ts, limit, name, unit, resolution) -> list:
+    """Findings of joint values (N,), of each kind one or None. resolution: None of commands, which have no noise."""
+    step = np.where(gaps, np.nan, np.diff(q))
     noise = 0.0 if resolution is None else _noise(step)
     jumps = np.abs(step) > APART * around(np.abs(step)) + 6 * noise + (resolution or 0.0)
     over = np.maximum(np.maximum(q - limit.get("upper", np.inf), limit.get("lower", -np.inf) - q), 0.0)

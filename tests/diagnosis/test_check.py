@@ -37,6 +37,16 @@ def test_derivatives_are_those_of_the_motion():
     assert alternating.broken[0].share == pytest.approx(40 / 15)
 
 
+def test_neither_command_nor_tip_goes_round_where_a_joint_wraps():
+    """The motion passes π 5 rows after its command."""
+    t = 0.01 * np.arange(300)
+    sent, q = (np.stack([2.9 + 0.2 * (t - late), 0.3 - 0.1 * (t - late)], 1) for late in (0.0, 0.05))
+    sent, q = ((each + np.pi) % (2 * np.pi) - np.pi for each in (sent, q))
+    check = check_log(t, q, chain=ck.planar_arm([1.0, 0.8]), command=sent)
+    assert [each.value for each in check.findings if each.what == "behind its command"] == pytest.approx([0.01, 0.005])
+    assert worst(check, "half-way between rows").value < 0.002
+
+
 def test_no_derivative_goes_across_a_gap_or_a_wrap():
     """Rows that are missing, sent twice, out of order and stale; a joint that passes π; stamps that jitter."""
     rng = np.random.default_rng(0)
