@@ -31,6 +31,7 @@ def run(
       resolution: resolution of the encoders [rad, m].
     """
     from cnclik.diagnosis.check import PUBLISHED, check_log
+    from cnclik.record import replace
 
     recorded, chain = read(log, **columns), None
     if robot is not None:
@@ -57,6 +58,10 @@ def run(
         answer = check_log(
             t, q, Ts=recorded.Ts, limits=table, chain=chain, command=command, resolution=resolution, names=names
         )
+    if chain is None:  # then check_log takes all for angles
+        metres = {recorded.names[i] for i in (*places, *sent) if recorded.lengths[i]}
+        found = [replace(f, unit=f.unit.replace("rad", "m")) if f.column in metres else f for f in answer.findings]
+        answer = replace(answer, findings=tuple(found))
     if json:
         findings = {"findings": answer.findings, "broken": len(answer.broken)}
         print_json(findings | {"Ts": answer.Ts, "Ts_from": recorded.stamps, "rows": answer.rows})

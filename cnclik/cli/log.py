@@ -18,6 +18,7 @@ TIMES = {"time", "timestamp", "stamp", "times", "timestamps", "rosbagtimestamp",
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s]
 SIZES = {word: factor for word, (factor, _) in quantities.units("q").items()}  # in rad or m, of a word in a name
 SIZES |= dict.fromkeys(("degree", "degrees"), SIZES["deg"])
+LENGTHS = {*quantities.units("x")}
 PARTS = {"": "s", "m": "ms", "milli": "ms", "u": "us", "µ": "us", "micro": "us", "n": "ns", "nano": "ns"}
 UNITS = {f"{part}{word}": unit for part, unit in PARTS.items() for word in ("s", "sec", "secs", "seconds")}
 FASTEST, SLOWEST = 2e-4, 0.5  # [s] of a sample, where neither a name nor a Ts gives the unit of stamps
@@ -36,6 +37,7 @@ class Log:
     stamps: str
     motion: list  # indices of the columns that are no times, status, velocities or efforts
     chosen: list  # indices of the columns that were named
+    lengths: list  # whether the name of each column has a unit of length
 
     def columns(self, places):
         """(N, k) of some columns, up to the last complete row: the last instant of a run has no step."""
@@ -106,7 +108,7 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     left_out = {*times, *no_motion(names, table)}
     motion = [i for i, name in enumerate(names) if i not in left_out and not OTHER & {*words_of(name)}]
     own = [name if sizes[i] == 1 else name.partition("[")[0].strip() or name for i, name in enumerate(names)]
-    return Log(own, table, t, Ts, stamps, motion, chosen)
+    return Log(own, table, t, Ts, stamps, motion, chosen, [bool(LENGTHS & {*words_of(name)}) for name in names])
 
 
 def sampled(log: Log) -> float:
@@ -122,7 +124,8 @@ def sampled(log: Log) -> float:
 
 def words_of(name) -> list:
     """The words and numbers of a column's name in small letters: /header/stampNs1 is header, stamp, ns, 1."""
-    return re.findall("[a-zµ]+|[0-9]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower())
+    name = re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower().replace("μ", "µ")  # the letter, and the sign for micro
+    return re.findall("[a-zµ]+|[0-9]+|°", name)
 
 
 def clock(names, table, Ts=None):

@@ -29,6 +29,18 @@ def answer(capsys, *argv):
     return json.loads(said) if "--json" in argv else said
 
 
+def test_units_in_names_are_those_of_the_answer(tmp_path, capsys):
+    """A lift in mm moves in m; a degree sign, and micro as the Greek letter, are units as well."""
+    log, k = str(tmp_path / "log.csv"), np.arange(100)
+    table = np.stack([2000 * k, 0.5 * k, 0.1 * k], 1)
+    np.savetxt(log, table, delimiter=",", header="t [μs],lift [mm],q1 [°]", comments="", encoding="utf-8")
+    main(["check", log, "--json"])
+    said = json.loads(capsys.readouterr().out)
+    speed = {each["column"]: each for each in said["findings"] if each["what"] == "velocity"}
+    assert said["Ts"] == pytest.approx(0.002) and speed["lift"]["unit"] == "m/s" and speed["q1"]["unit"] == "rad/s"
+    assert (speed["lift"]["value"], speed["q1"]["value"]) == pytest.approx((0.25, np.radians(50)))
+
+
 @pytest.fixture
 def log(tmp_path):
     e = loop(0.3, 4, 200)
