@@ -22,7 +22,7 @@ def oscillation(signal, found, names):
         panel.plot(t, signal[:, i], "o", **_DOTS, label="recorded")
         if found.period is not None:
             panel.plot(t, found.fitted[:, i], color=style.BLUE, label="fitted")
-        panel.set_ylabel(f"{names[i]} [as recorded]")
+        panel.set_ylabel(f"{names[i]} [rad or m]")
     style.legend(figure, panels[0])
     return figure
 

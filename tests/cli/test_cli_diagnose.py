@@ -9,8 +9,10 @@ import pytest
 
 from cnclik.cli import main
 from cnclik.cli.log import clock, no_motion, read
+from cnclik.diagnosis import diagnose
 from cnclik.diagnosis.recording import sampling_time
 from cnclik.errors import ArgumentError
+from cnclik.show.diagnosis import oscillation
 from tests.diagnosis.logs import loop, servo
 
 TS = 0.002
@@ -39,6 +41,14 @@ def test_units_in_names_are_those_of_the_answer(tmp_path, capsys):
     speed = {each["column"]: each for each in said["findings"] if each["what"] == "velocity"}
     assert said["Ts"] == pytest.approx(0.002) and speed["lift"]["unit"] == "m/s" and speed["q1"]["unit"] == "rad/s"
     assert (speed["lift"]["value"], speed["q1"]["value"]) == pytest.approx((0.25, np.radians(50)))
+
+
+def test_a_figure_names_the_unit_of_what_it_shows(tmp_path):
+    """A log in degrees was drawn in rad, as recorded."""
+    recorded = read(write(tmp_path / "log.csv", ["time", "q1 [deg]"], TS * np.arange(200), 30 * loop(0.3, 4, 200)))
+    signal = recorded.columns(recorded.moved())
+    axes = oscillation(signal, diagnose(signal, TS), recorded.names[1:]).axes
+    assert np.ptp(axes[0].lines[0].get_ydata()) < 1 and axes[0].get_ylabel() == "q1 [rad or m]"
 
 
 @pytest.fixture
