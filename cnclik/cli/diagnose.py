@@ -79,11 +79,13 @@ def _stack(log, Ts, words) -> tuple:
     """(numbers, text, function that draws) of the tasks of a stack."""
     from cnclik.diagnosis import diagnose_tasks
 
-    gains = dict(word.partition("=")[::2] for word in words)
-    places = {task: [i for i in log.motion if log.names[i].startswith((f"{task}.", f"{task}/"))] for task in gains}
+    gains, among = dict(word.partition("=")[::2] for word in words), log.chosen or log.motion
+    if len(gains) < len(words):
+        raise errors.fail("tasks", "name each task once", f"is {' '.join(words)}")
+    places = {task: [i for i in among if log.names[i].startswith((f"{task}.", f"{task}/"))] for task in gains}
     for task, some in places.items():
         if not some:
-            found = f"is {task!r}, and LOG has {', '.join(log.names)}"
+            found = f"is {task!r}, and LOG has {', '.join(log.names[i] for i in log.chosen) or ', '.join(log.names)}"
             raise errors.fail("tasks", f"have columns such as {task}.x in LOG", found)
     log.columns([i for some in places.values() for i in some])  # whose rows are all finite, or named
     signals = {task: log.columns(some) for task, some in places.items()}

@@ -75,6 +75,8 @@ MISTAKES = [
     ("export panda", "Option `--out` must be given, but is not."),
     ("diagnose log.csv --tasks a", "Option `--tasks` must have columns such as a.x in LOG"),
     ("diagnose stack.csv --tasks a --alpha 5", "`--alpha` must be left out with --tasks"),
+    ("diagnose stack.csv --tasks a b a=3", "Option `--tasks` must name each task once, but is a b a=3."),
+    ("diagnose stack.csv --tasks a b --columns a.x", "have columns such as b.x in LOG, but is 'b', and LOG has a.x."),
     ("diagnose stack.csv --tasks a --step", "`--step` must be left out with --tasks"),
     ("diagnose log.csv --command velocity", "Option `--command` must come with --step"),
     ("diagnose stack.csv --tasks b=-3", "must be positive, but is -3"),
