@@ -200,7 +200,8 @@ class StackDiagnosis:
     def __str__(self):
         lines = [f"{name}: {found}" for name, found in self.tasks.items()]
         if self.recommended_alpha is not None:
-            lines.append(f"No task may have an alpha above {self.recommended_alpha:.4g} 1/s: {', '.join(self.change)}.")
+            said = f"No task may have an alpha above {self.recommended_alpha:.4g} 1/s"
+            lines.append(f"{said}{': ' * bool(self.change)}{', '.join(self.change)}.")
         return "\n".join(lines)
 
 
