@@ -9,7 +9,7 @@ from cnclik.diagnosis import loop
 from cnclik.diagnosis.recording import columns
 from cnclik.integrate.drive import Drive, drive_in_words
 from cnclik.quantities import in_samples
-from cnclik.record import ArrayLike, Float, record
+from cnclik.record import ArrayLike, Float, record, replace
 from cnclik.stability.gain import gains
 
 CALM, UNDECIDED = "calm", "undecided"
@@ -223,6 +223,8 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
     for name, signal in signals.items():
         with errors.called("", name):
             tasks[name] = diagnose(signal, Ts, alpha=largest)
+        if largest is not None and tasks[name].factor is not None:  # of its own gain
+            tasks[name] = replace(tasks[name], factor=float(tasks[name].recommended_alpha / known[name]))
     swing = [found for found in tasks.values() if found.drive is not None]
     if not swing:
         return StackDiagnosis(tasks=tasks, change=(), recommended_alpha=None)

@@ -206,6 +206,8 @@ def test_the_limit_of_one_task_binds_all(gains, hidden, change, tmp_path, capsys
     assert found.change == change and 0.04 / 0.005 < found.recommended_alpha < monotone(4) / 0.005
     assert diagnose_tasks(signals | {"feet": np.rad2deg(signals["feet"])}, 0.005, alpha=known).change == change
     assert change[0] in diagnose_tasks(signals, 0.005).change  # also where no gain is known
+    both = diagnose_tasks(dict.fromkeys("ab", signals[change[0]]), 0.005, alpha={"a": 62.0, "b": 10.0}).tasks["b"]
+    assert both.factor == pytest.approx(both.recommended_alpha / 10.0)  # of its own gain
     alone = diagnose_tasks({change[0]: signals[change[0]], "rest": np.zeros((900, 1))}, 0.005, alpha={change[0]: 5.0})
     assert alone.change == () and str(alone).endswith(f"above {alone.recommended_alpha:.4g} 1/s.")
     head = ",".join(f"{name}.{axis}" for name in signals for axis in "xyz")
