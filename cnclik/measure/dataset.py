@@ -85,7 +85,7 @@ def labelled(run: Trajectory, law: Law, dims=(), coords=None, config=None) -> tu
     }
     if run.walls is not None:
         labels["wall"] = ("wall", [wall.name for wall in getattr(law.limits, "walls", ())], about("wall", "1"))
-    if not task.of_one_tip:
+    if not task.of_one_tip or len(chain.tips) > 1:
         labels["axis_tip"] = ("axis", _tips(task, chain), about("the tip whose coordinate it is", "1"))
     if task.each:
         labels["task"] = ("task", [name for name, _ in task.tasks], about("task", "1"))

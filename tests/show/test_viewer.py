@@ -80,6 +80,15 @@ def test_each_tip_has_a_path_and_a_target():
     assert "error grip" in viewer.caption(made.data, 3)
 
 
+def test_the_target_of_one_tip_of_several_is_that_tips():
+    """A target along x and y of the right hand was the left one's, at its height."""
+    robot = bank.robot("two arms")
+    q0, task = np.full(robot.n, 0.3), ck.position("xy", tip=robot.tips[1].name)
+    law = ck.Law(robot, task, alpha=1.0)
+    made = motion.motion_of(to_dataset(ck.solve(law, ck.hold_at(robot, task, q0), q0, 0.01, 1), law), robot)
+    assert made.targets[0] is None and made.targets[1] == pytest.approx(made.paths[1], abs=1e-5)
+
+
 # --- meshes and shapes ----------------------------------------------------------------------------------
 
 
