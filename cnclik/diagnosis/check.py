@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis.recording import columns, missing, spacing
+from cnclik.diagnosis.recording import columns, missing, spacing, unwrapped
 from cnclik.quantities import plainly
 from cnclik.record import ArrayLike, Float, record
 
@@ -25,7 +25,6 @@ PUBLISHED: dict[str, dict] = {  # Franka Control Interface documentation, "Robot
     "fr3": {"velocity": [2.62] * 4 + [5.26, 4.18, 5.26], "acceleration": [10.0] * 7, "jerk": [5000.0] * 7},
 }
 ROUNDING = 1e-6  # share of a limit: a motion at its limit is written with some ten digits
-TURN = 0.1  # [rad] from a whole turn, within which a jump is a wrap: no joint moves a turn in a sample
 APART = 4.0  # times the largest step of the three rows on either side: smooth motion at most doubles its step
 QUIET = 0.99  # share of the third differences that may be noise: the others may be jumps
 WHITE = (-0.75, 0.3)  # autocorrelation of the third differences of white noise at lags 1 and 2: −15/20, 6/20
@@ -176,13 +175,6 @@ def _rows(t, moved, Ts) -> tuple:
 def around(steps):
     """The largest of the three steps (N,) on either side of each; NaN where all lie across gaps."""
     return np.fmax.reduce([np.roll(steps, s) for s in (-3, -2, -1, 1, 2, 3)])
-
-
-def unwrapped(q, gaps) -> tuple:
-    """(Joint values (N,) that go on where they wrap by 2π, whether each step does)."""
-    step = np.diff(q)
-    wraps = (np.abs(np.abs(step) - 2 * np.pi) < TURN) & ~gaps
-    return q - 2 * np.pi * np.cumsum(np.append(0.0, np.sign(step) * wraps)), wraps
 
 
 def _motion(t, q, wraps, gaps, Ts, limit, name, unit, resolution) -> list:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis.recording import LARGEST, columns, sampling_time
+from cnclik.diagnosis.recording import LARGEST, columns, sampling_time, unwrapped
 from cnclik.integrate.drive import COMMANDS, MOST, Drive
 from cnclik.record import ArrayLike, Float, record
 from cnclik.stability.gain import gains
@@ -108,6 +108,9 @@ def fit_drive(
     velocity = errors.one_of("command_kind", command_kind, COMMANDS) == "velocity"
     command = columns("command", command, "fit_drive")
     motion = columns("motion", motion, "fit_drive", like=command)
+    motion, wraps = unwrapped(motion)
+    if not velocity:
+        command = np.where(wraps.any(0), np.unwrap(command, axis=0), command)  # else a turn may be meant
     for name, values in (("command", command), ("motion", motion)):
         if np.any(np.ptp(values, axis=0) <= np.maximum(1e-12 * np.abs(values).max(0), 1 / LARGEST)):
             raise errors.fail(name, "move in every column", "stands still")

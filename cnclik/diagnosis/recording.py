@@ -5,6 +5,7 @@ import numpy as np
 from cnclik import errors
 
 LARGEST = 1e30  # value of a recording, at most; squares of far larger ones overflow
+TURN = 0.1  # [rad] from a whole turn, within which a jump is a wrap: no joint moves a turn in a sample
 MISSING, BESIDE = 0.6, 12  # of a step, by which the rows after a gap come late; rows on either side that tell
 
 
@@ -53,3 +54,11 @@ def missing(t, Ts):
         before, after = late[max(k + 1 - BESIDE, 0) : k + 1], late[k + 1 : k + 1 + BESIDE]
         gaps[k] = np.median(after) - np.median(before) > MISSING * Ts
     return gaps
+
+
+def unwrapped(q, gaps=False) -> tuple:
+    """(Joint values (N,) or (N, k) that go on where they wrap by 2π, whether each step does)."""
+    step = np.diff(q, axis=0, prepend=q[:1])
+    wraps = np.abs(np.abs(step) - 2 * np.pi) < TURN
+    wraps[1:] &= np.logical_not(gaps)
+    return q - 2 * np.pi * np.cumsum(np.sign(step) * wraps, axis=0), wraps[1:]

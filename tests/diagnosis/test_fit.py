@@ -151,3 +151,13 @@ def test_intervals_of_95_per_cent_hold_the_truth(count):
             told += [within(fit, **{name: v}) for name, v in ({"delay": d} | numbers).items()]
     assert len(told) > count
     assert 0.93 <= np.mean(told) <= 0.98 if count > 100 else np.mean(told) > 0.8, np.mean(told)
+
+
+def test_a_joint_that_wraps_has_the_drive_of_one_that_does_not():
+    """Dead time of 24 samples in place of 2, and a larger gain, with all explained."""
+    command = 3.1 + 0.1 * (np.arange(250) > 9)
+    motion = 3.1 + servo(command - 3.1, 0.002, 2.0, natural_frequency=25.0, damping_ratio=0.5)
+    within_pi = [(each + np.pi) % (2 * np.pi) - np.pi for each in (command, motion)]
+    plain, wrapped = (fit_drive(None, *both, 0.002) for both in ((command, motion), within_pi))
+    assert wrapped.recommended_alpha == pytest.approx(plain.recommended_alpha, rel=1e-3)
+    assert wrapped.drive.delay == pytest.approx(2.0, abs=0.01)
