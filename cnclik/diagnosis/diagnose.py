@@ -6,7 +6,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.diagnosis import loop
-from cnclik.diagnosis.recording import columns
+from cnclik.diagnosis.recording import columns, unwrapped
 from cnclik.integrate.drive import Drive, drive_in_words
 from cnclik.quantities import in_samples
 from cnclik.record import ArrayLike, Float, record, replace
@@ -90,7 +90,8 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
     """
     Ts = float(errors.number("Ts", Ts, positive=True))
     alpha = None if alpha is None else float(errors.number("alpha", alpha, positive=True))
-    y = columns("signal", signal, "diagnose")
+    raw = columns("signal", signal, "diagnose")
+    y = np.where(np.abs(raw).max(0) < 1.0001 * np.pi, unwrapped(raw)[0], raw)
     y_ = (y - y[0]) / (np.abs(y - y[0]).max() or 1.0)
     scaled = loop.prepared(y_)
     read = loop.read(scaled) if scaled.shape[1] else None
@@ -100,6 +101,7 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
         rows = y[read.first : read.last]
         basis = np.column_stack([loop.path_basis(len(rows), read.period), loop.wave(len(rows), read.mode)])
         fitted[read.first : read.last] = rows - loop.free(basis, rows)
+        fitted += raw - y
     return Diagnosis(Ts=Ts, fitted=fitted, **fields)
 
 

@@ -179,6 +179,15 @@ test_what_cannot_be_diagnosed = refusals(
 )
 
 
+def test_a_joint_that_passes_pi_swings_as_one_that_does_not():
+    """Without alpha it was calm, by a log of which each swing wraps."""
+    q = 3.1 + 0.1 * loop(0.3, 4, 300)
+    plain, wrapped = diagnose(q, TS), diagnose((q + np.pi) % (2 * np.pi) - np.pi, TS)
+    assert wrapped.recommended_alpha == pytest.approx(plain.recommended_alpha, rel=1e-6)
+    shown = np.isfinite(wrapped.fitted[:, 0])
+    assert shown.any() and np.nanmax(np.abs(wrapped.fitted[:, 0])) < 3.3
+
+
 def coupled(gains, N=300, d=4):
     """{task: errors (N, 3)} of hands and feet that share joints, 5 ms a sample."""
     rng = np.random.default_rng(3)
