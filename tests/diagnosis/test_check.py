@@ -94,3 +94,5 @@ def test_how_far_the_tip_strays_half_way():
     assert check.broken[0].value == pytest.approx(0.1)
     with pytest.raises(ArgumentError, match="`names` must be a list of 1 names, but is 'elbow'"):
         check_log(None, np.zeros(9), Ts=1.0, names="elbow")
+    with pytest.raises(ArgumentError, match=r"`limits\.velocity` must be at least 0, but is -1"):
+        check_log(None, np.zeros(9), Ts=1.0, limits={"velocity": -1.0})  # which nothing exceeded
