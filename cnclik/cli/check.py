@@ -54,7 +54,7 @@ def run(
     whole = recorded.columns([*places, *sent])
     q, command = whole[:, : len(places)], whole[:, len(places) :] if sent else None
     t, names = None if recorded.t is None else recorded.t[: len(q)], [recorded.names[i] for i in (*places, *sent)]
-    with errors.called("q", "LOG"):
+    with errors.called("q", "LOG"), errors.called("t", recorded.stamps.partition(",")[0]):
         answer = check_log(
             t, q, Ts=recorded.Ts, limits=table, chain=chain, command=command, resolution=resolution, names=names
         )

@@ -154,6 +154,8 @@ def _limits(limits, chain, k) -> list[dict]:
     limits = {errors.one_of("limits", name, ORDERS): value for name, value in limits.items()}
     for name, value in limits.items():
         errors.array(f"limits.{name}", value, finite=False, at_least=0)
+    if chain is not None and not hasattr(chain, "joint_names"):
+        raise errors.fail("chain", "be a Chain, such as load(...) gives", f"is {chain!r}")
     if chain is not None and chain.n != k:
         raise errors.fail("q", f"have a column for each of the chain's {chain.n} joints", f"has {k}")
     if chain is not None:

@@ -217,7 +217,8 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
       signals: {task: (N, k)} its errors. Ts: as for `diagnose`. alpha: {task: gain [1/s]} of those that are known.
     Raises: as `diagnose`, and for an alpha of a task that is not recorded.
     """
-    errors.kind("signals", signals, dict)
+    if not errors.kind("signals", signals, dict):
+        raise errors.fail("signals", "hold a task", "is empty")
     alpha = errors.kind("alpha", alpha or {}, dict)
     known = {errors.one_of("alpha", n, signals): errors.number("alpha", a, positive=True) for n, a in alpha.items()}
     largest = float(max(known.values())) if len(known) == len(signals) else None  # no mode is faster

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cnclik.cli import main
-from cnclik.diagnosis import diagnose, diagnose_tasks
+from cnclik.diagnosis import check_log, diagnose, diagnose_tasks
 from tests.diagnosis import logs
 from tests.diagnosis.logs import TS, ends, limits, loop, monotone, stable
 from tests.refusals import refusals
@@ -174,6 +174,8 @@ test_what_cannot_be_diagnosed = refusals(
     (lambda: diagnose(np.zeros((50, 0)), TS), "`signal` must hold numbers, but is empty"),
     (lambda: diagnose(np.full(50, np.nan), TS), r"`signal` must be finite, but is nan at index \(0,\).$"),
     (lambda: diagnose(-np.geomspace(1, 1e200, 50), TS), r"`signal` must be within ±1e\+30, but reaches 1e\+200.$"),
+    (lambda: diagnose_tasks({}, TS), "`signals` must hold a task, but is empty.$"),
+    (lambda: check_log(None, np.zeros(9), Ts=TS, chain="panda"), "`chain` must be a Chain"),
     (lambda: diagnose(np.zeros(50), -1.0), "`Ts` must be positive, but is -1.$"),
     (lambda: diagnose(np.zeros(50), TS, alpha=0.0), "`alpha` must be positive, but is 0.$"),
 )
