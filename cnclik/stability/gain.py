@@ -74,7 +74,8 @@ class Gains:
     Attributes:
       largest_stable: the largest that is stable.
       without_overshoot: the largest with which a step of the target is not passed by more than 1 %.
-      recommended: the same even with one more sample of dead time, and at most 1/Ts; 0 where there is none.
+      recommended: the same even with one more sample of dead time, at most 1/Ts, and no more than removes the most of
+        an error per step; 0 where there is none.
       Ts: sampling time [s]. method, M: of the loop. drive: of all joints, as given or as assumed.
       assumed: whether nothing was known of the drives, so that a dead time of 30 ms and a lag of 100 ms are assumed.
       shares: the three limits as shares of an error that a step may remove, whatever the method.
@@ -121,6 +122,8 @@ class Gains:
                 "the motion does not overshoot, even if the loop uses its commands one sample later. The drives are "
                 "outside of this loop: the robot follows its commands late, and steady errors of it are not corrected"
             )
+        if self.recommended < 0.999 * min(gain_removing(self.shares[2], self.method, self.M), MOST_Z) / self.Ts:
+            return "a step by this method removes the most of an error: by a larger gain it removes less"
         if np.isclose(self.recommended * self.Ts, MOST_Z):
             return f"above z = alpha·Ts = {MOST_Z:g} noise increases more than the settling time decreases"
         late = "the assumed dead time" if self.assumed else f"the {self.drive.lumped.delay:g} given"
@@ -166,8 +169,10 @@ def gains(*, Ts: Number, drive: Drive | None = None, method: MethodLike = DEFAUL
 
 
 def _gains(shares, Ts, method, M, drive, assumed) -> Gains:
-    stable, smooth, recommended = (gain_removing(share, method, M) / Ts for share in shares)
-    return Gains(stable, smooth, min(recommended, MOST_Z / Ts), Ts, method, M, drive, assumed, shares)
+    stable, smooth, recommended = (gain_removing(share, method, M) for share in shares)
+    z = np.linspace(0.0, min(recommended, MOST_Z), 1025)
+    most = float(z[removed(method, z, M).argmax()])  # passes of odd number remove less again beyond, IE's nothing at 1
+    return Gains(stable / Ts, smooth / Ts, most / Ts, Ts, method, M, drive, assumed, shares)
 
 
 def gain_table(*, Ts, dead_time, drive: Drive = Drive(), method: MethodLike = DEFAULT, M: int | None = None):

@@ -179,7 +179,8 @@ const cnclik = (() => {
   /** { stable, smooth, recommended } [1/s] of { delay [samples], lag, frequency, damping, command, feedback, … }. */
   function gains(drive, Ts, method = "EXP-MIDPOINT", M = null) {
     const [stable, smooth, recommended] = limits(drive, Ts).map((share) => gainRemoving(share, method, M) / Ts);
-    return { stable, smooth, recommended: Math.min(recommended, 1 / Ts) };
+    const taken = (z) => REMOVED[method](z, M), most = Math.min(recommended * Ts, 1); // odd M removes less again beyond
+    return { stable, smooth, recommended: most && even(most, 1024).reduce((a, b) => (taken(b) > taken(a) ? b : a)) / Ts };
   }
 
   /** Settling time [s] and overshoot of a gain. */

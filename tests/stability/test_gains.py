@@ -215,6 +215,15 @@ def test_no_random_loop_is_unstable_below_the_scalar_limit(seed):
         assert plant.radius(S, [drive] * len(M), Ts) < 1 + 1e-6, (i, method, passes, drive)
 
 
+def test_a_recommended_gain_is_no_larger_than_what_removes_the_most():
+    """Of IE with M passes 1 − R = z (1 − (−z)^(M + 1))/(1 + z): with odd M 0 at z = 1, which was recommended."""
+    slow = Drive(lag=0.1, command="position", feedback="rebased")
+    for drive, M, most in ((Drive(), 1, 0.5), (slow, 5, 0.66980)):
+        found = ck.gains(Ts=0.01, drive=drive, method="IE", M=M)
+        assert found.recommended * 0.01 == pytest.approx(most, abs=1e-3) and "the most" in found.reason
+        assert found.response.settling_time < 2.0
+
+
 def test_joints_with_different_drives():
     """One gain: the hull holds for every robot, and "the slowest is safe" does not."""
     rng, Ts = np.random.default_rng(3), 0.01
