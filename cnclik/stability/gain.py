@@ -363,7 +363,7 @@ def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float)
     later = Ts * kept / (1 - kept) if drive.filters == "target" else 0.0  # a ramp comes late through the filter
     return Response(
         alpha=alpha,
-        damping_ratio=float((-slowest.real / np.abs(slowest)).min()),
+        damping_ratio=float(np.abs(np.cos(np.angle(slowest))).min()),  # 1 also of a pole that rounds to 1 or above
         overshoot=max(float(-away.min()), 0.0),
         settling_time=np.inf if outside[-1] == N else float(outside[-1] + 1) * Ts,
         gain_margin=gain_margin,

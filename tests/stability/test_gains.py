@@ -124,6 +124,12 @@ def test_a_response_is_that_of_a_run(smoothed):
     assert settled * 0.01 == pytest.approx(predicted.settling_time, abs=0.011)
 
 
+def test_a_pole_that_rounds_to_1_is_damped():
+    """A gain so small that a step hardly moves: ζ was nan or −1."""
+    for alpha in (1e-300, 1e-20, 1e-15):
+        assert ck.gains(Ts=0.01, drive=Drive(delay=3)).at(alpha).damping_ratio == 1
+
+
 def test_no_more_than_one_per_cent_is_passed_without_overshoot():
     rng = np.random.default_rng(11)
     for _ in range(10):
