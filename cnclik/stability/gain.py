@@ -325,8 +325,8 @@ def overshoot(loop: ScalarLoop, s: float) -> float:
 
 
 def settled_by(loop: ScalarLoop, s: float) -> int:
-    """Return the samples by which a response has settled to SETTLED², that of a drive outside of the loop included."""
-    own = np.abs(np.linalg.eigvals(loop.model.phi))
+    """Return the samples by which a response has settled to SETTLED², that of what is outside of the loop included."""
+    own = np.abs(np.append(np.linalg.eigvals(loop.model.phi), loop.drive.kept(loop.Ts)))
     inside = scalar_loop(within(loop.drive), loop.Ts)
     slowest = max(float(inside.radius(s)), own[own < 1 - 1e-9].max(initial=0.0))
     wanted = 2 * np.log(SETTLED) / np.log(slowest) if 0 < slowest < 1 else LONGEST

@@ -130,6 +130,14 @@ def test_a_pole_that_rounds_to_1_is_damped():
         assert ck.gains(Ts=0.01, drive=Drive(delay=3)).at(alpha).damping_ratio == 1
 
 
+def test_a_response_waits_for_a_filter_outside_of_the_loop():
+    """On its own commands: the robot lags by d + ρ/(1 − ρ) samples, and was said never to settle."""
+    drive = Drive(delay=2, smoothing=0.97, smoothed="command", feedback="commanded")
+    found = ck.gains(Ts=0.01, drive=drive).response
+    assert found.lag_fed_forward == pytest.approx(0.01 * (2 + 0.97 / 0.03), rel=1e-5)
+    assert found.settling_time == pytest.approx(1.34, abs=0.011)
+
+
 def test_no_more_than_one_per_cent_is_passed_without_overshoot():
     rng = np.random.default_rng(11)
     for _ in range(10):
