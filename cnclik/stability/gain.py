@@ -349,18 +349,25 @@ def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float)
     """Return the response of a loop that removes a share s of an error in each step."""
     loop, inside, kept = scalar_loop(drive, Ts), scalar_loop(within(drive), Ts), float(drive.kept(Ts))
     N = settled_by(loop, s)
+    weights = (1 - kept) * kept ** np.arange(N + 1)
+
+    def filtered(signal):  # by the filter of the command or target
+        return np.fft.irfft(np.fft.rfft(signal, 2 * N + 2) * np.fft.rfft(weights, 2 * N + 2))[: len(signal)]
+
     noisy = loop.disturbed - s * loop.b * loop.noise
     away, fed, noise = loop.response(s, loop.q, np.stack([loop.displaced, loop.b, noisy], -1), N).T
     asked = np.r_[-s * loop.noise, loop.response(s, -s * loop.C, noisy[:, None], N - 2)[:, 0]]
-    if drive.filters == "command" and kept:
-        weights = (1 - kept) * kept ** np.arange(min(len(asked), int(np.log(TINY) / np.log(kept)) + 1))
-        asked = np.convolve(asked, weights)[: len(asked)]
     poles = inside.poles(s)
     slowest = np.log(poles[np.abs(poles) >= np.abs(poles).max() * (1 - SLOWEST)].astype(complex) + TINY)
-    outside = np.flatnonzero(~(np.abs(away) <= WITHIN))
     behind, forward = np.cumsum(away[:N]) * Ts, np.cumsum((away - fed)[:N]) * Ts  # a ramp is a sum of steps
-    start_error = float(np.abs(forward).max())
-    later = Ts * kept / (1 - kept) if drive.filters == "target" else 0.0  # a ramp comes late through the filter
+    start_error, later = float(np.abs(forward).max()), 0.0
+    lag_fed_forward = float(forward[-1]) if abs(forward[-1]) > SETTLED * start_error else 0.0
+    if drive.filters == "command":
+        asked = filtered(asked)
+    if drive.filters == "target":  # a step and a ramp come late through it, the feed-forward at once
+        later, away = Ts * kept / (1 - kept), 1 - filtered(1 - away)
+        start_error = float(np.abs(np.cumsum(away - fed)).max() * Ts)
+    outside = np.flatnonzero(~(np.abs(away) <= WITHIN))
     return Response(
         alpha=alpha,
         damping_ratio=float(np.abs(np.cos(np.angle(slowest))).min()),  # 1 also of a pole that rounds to 1 or above
@@ -371,7 +378,7 @@ def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float)
         noise_gain=float(np.linalg.norm(noise)),
         velocity_noise_gain=float(np.linalg.norm(asked)) / Ts,
         lag=float(behind[-1]) + later,
-        lag_fed_forward=(float(forward[-1]) if abs(forward[-1]) > SETTLED * start_error else 0.0) + later,
+        lag_fed_forward=lag_fed_forward + later,
         start_error=start_error,
     )
 

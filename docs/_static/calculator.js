@@ -185,7 +185,8 @@ const cnclik = (() => {
 
   /** Settling time [s] and overshoot of a gain. */
   function response(drive, Ts, alpha, method, M) {
-    const path = motion(drive, Ts, REMOVED[method](alpha * Ts, M));
+    const late = kept(drive, "target"), path = motion(drive, Ts, REMOVED[method](alpha * Ts, M));
+    if (late) [...path, ...Array(20000).fill(0)].reduce((mean, q, k) => (path[k] = late * mean + (1 - late) * q), 1);
     const away = path.map((q) => Math.abs(q) > 0.02).lastIndexOf(true);
     return { settling: away === path.length - 1 ? Infinity : (away + 1) * Ts, overshoot: overshoot(path) };
   }

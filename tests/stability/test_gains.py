@@ -138,6 +138,15 @@ def test_a_response_waits_for_a_filter_outside_of_the_loop():
     assert found.settling_time == pytest.approx(1.34, abs=0.011)
 
 
+def test_a_step_and_a_ramp_come_late_through_a_filter_of_the_target():
+    """A run of solve: settling in 0.45 s without overshoot, and 50.354 ms behind a ramp with feed-forward at most."""
+    servo = dict(delay=2, natural_frequency=40.0, damping_ratio=0.7, command="position")
+    found = ck.gains(Ts=0.01, drive=Drive(**servo, smoothing=0.6, smoothed="target")).response
+    assert (found.settling_time, found.start_error) == pytest.approx((0.45, 0.050354), rel=1e-4)
+    slow = ck.gains(Ts=0.01, drive=Drive(delay=2, smoothing=0.97, smoothed="target")).response
+    assert slow.settling_time == pytest.approx(1.38, abs=0.011) and slow.start_error >= 0.999 * slow.lag_fed_forward
+
+
 def test_no_more_than_one_per_cent_is_passed_without_overshoot():
     rng = np.random.default_rng(11)
     for _ in range(10):
