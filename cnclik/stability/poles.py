@@ -19,7 +19,7 @@ import numpy as np
 from cnclik.integrate.drive import Drive, Sampled, sampled
 
 SETTLED = 1e-3  # share of a step, squared, down to which a response is continued
-LONGEST, FAR = 20_000, 1e12  # samples of a response; what is larger counts as infinite
+LONGEST, FAR = 1_000_000, 1e12  # samples of a response; what is larger counts as infinite
 FINE = 2048  # frequencies at which a loop gain is evaluated
 PARTS, ROUNDS = 16, 13  # of a search: as fine as rounding
 

@@ -119,7 +119,7 @@ const cnclik = (() => {
     const q = Array(n).fill(1), sent = Array(n + whole + 1).fill(rest); // before that the drive rests at 1
     const ofError = kept(drive, "error"), ofCommand = kept(drive, "command");
     let total = 1, error = 0, command = rest;
-    for (let k = 0, last = 0; k <= Math.min(2 * last + 4 * drive.delay + 50, 20000); k++) {
+    for (let k = 0, last = 0; k <= Math.min(2 * last + 4 * drive.delay + 50, 1e6); k++) {
       let now = 0;
       for (let i = 0; i <= n; i++) now += B[i] * sent[k + i] - (i < n ? P[i] * q[k + i] : 0);
       if (Math.abs(now) > 1e-6) last = k;
@@ -133,7 +133,7 @@ const cnclik = (() => {
     return q.slice(n);
   }
 
-  const overshoot = (path) => Math.max(0, -Math.min(...path));
+  const overshoot = (path) => path.reduce((most, q) => Math.max(most, -q), 0);
   function smoothShare(drive, Ts, stable) {
     if (!stable) return 0;
     const swings = (s) => overshoot(motion(drive, Ts, s)) > 0.01, share = slowestShare(loop(within(drive), Ts), stable);

@@ -79,7 +79,7 @@ def test_the_given_gain_is_judged(capsys):
     assert f"alpha = 50 1/s) is UNSTABLE where J# gives all that it asks for: {gains.largest_stable:.4g} 1/s" in said
     assert "Your gain (alpha = 0 1/s) asks for no motion." in shown(capsys, *drive, "--alpha", 0)
     assert "yours" not in shown(capsys, *drive)  # nobody gave one
-    said = shown(capsys, "--Ts", "0.01", "--delay", "6", "--lag", "40")  # too slow to settle
+    said = shown(capsys, "--Ts", "0.01", "--delay", "6", "--lag", "4000")  # too slow to settle
     assert "does not settle to within 2 % in the simulated time" in said and "inf" not in said
 
 

@@ -138,6 +138,13 @@ def test_a_response_waits_for_a_filter_outside_of_the_loop():
     assert found.settling_time == pytest.approx(1.34, abs=0.011)
 
 
+def test_a_response_goes_on_until_a_slow_loop_has_settled():
+    """At 10 kHz a lag of 200 ms: a ramp's error is its speed over the gain, and the step settles like (1 + x) e^−x."""
+    found = ck.gains(Ts=1e-4, drive=Drive(lag=0.2), method="EE")
+    assert found.response.lag == pytest.approx(1 / found.recommended, rel=1e-4)
+    assert found.response.settling_time == pytest.approx(5.834 * 0.4, rel=1e-3)
+
+
 def test_a_step_and_a_ramp_come_late_through_a_filter_of_the_target():
     """A run of solve: settling in 0.45 s without overshoot, and 50.354 ms behind a ramp with feed-forward at most."""
     servo = dict(delay=2, natural_frequency=40.0, damping_ratio=0.7, command="position")
