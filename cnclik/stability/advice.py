@@ -14,7 +14,7 @@ from cnclik.law.law import Law
 from cnclik.precision import of_numbers
 from cnclik.record import Number, record
 from cnclik.stability.gain import Gains, Response, gains, in_words
-from cnclik.stability.linear import passes_of
+from cnclik.stability.linear import passes_of, removed
 
 ROUNDING = 1e-9  # relative excess of a gain that is none
 
@@ -55,7 +55,9 @@ class Rate(NamedTuple):
         elif self.rate > most.without_overshoot * (1 + ROUNDING):
             what = f"overshoots: without overshoot up to {in_words(most.without_overshoot)} 1/s"
         elif not self.within:
-            what = f"overshoots with one more sample of dead time: recommended up to {in_words(most.recommended)} 1/s"
+            late = 0 < most.shares[2] < float(removed(most.method, self.rate * most.Ts, most.M))
+            up_to = f"recommended up to {in_words(most.recommended)} 1/s" if most.recommended else most.reason
+            what = f"{'overshoots with one more sample of dead time: ' * late}{up_to}"
         else:
             what = "within what is recommended"
         return f"{self.name}: {self.rate:.4g} 1/s (z = {self.rate * most.Ts:.4g}), {what}"

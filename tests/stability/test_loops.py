@@ -40,6 +40,15 @@ def test_each_rate_of_a_law_is_beside_its_gains():
     assert said.rates[0].response.alpha == 8.0 and said.rates[1].response is None
 
 
+def test_a_gain_that_is_not_recommended_for_another_reason_than_dead_time():
+    """Beyond 1/Ts a share of 0.7 does not overshoot; of a rebased servo no gain is recommended: "up to none 1/s"."""
+    rebased = dict(command="position", feedback="rebased")
+    servo = Drive(delay=4, natural_frequency=49.9, damping_ratio=0.2, **rebased)
+    for alpha, drive, wanted in ((120.0, Drive(lag=0.1, **rebased), "up to 100 1/s"), (1.0, servo, "no gain: each")):
+        said = str(advise(ck.Law(PANDA, ck.position(), alpha=alpha), Ts=0.01, drive=drive).rates[0])
+        assert wanted in said and "overshoots with" not in said and "none" not in said
+
+
 def test_a_posture_has_the_gains_of_a_task():
     law = ck.Law(PANDA, ck.position(), alpha=2.0, null_velocity=ck.posture(Q, 30.0))
     said = advise(law, Ts=0.01, drive=Drive(delay=3))
