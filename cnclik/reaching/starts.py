@@ -27,6 +27,7 @@ STRETCHES = np.array([1.0, 4.0, 8.0, 4.0])  # of those: some have most joints, o
 ABOUT = 8  # tries about `near`; the last ones begin anywhere in the ranges of the joints
 ISLANDS = 8  # of the tries of a target
 SCATTERED = 0.2  # of the joints' ranges about a posture found
+FAR = 1e4  # [rad, m] limits as large do not influence the starts: spread so far, few would arrive
 
 
 class Starts(NamedTuple):
@@ -40,7 +41,7 @@ class Starts(NamedTuple):
 def spans(chain: Chain):
     """Return lower and upper ends (n,) of where starts are: the limits, of which at most one turn about the middle."""
     lower, upper = np.array(chain.lower, float), np.array(chain.upper, float)
-    turn = 2 * math.pi
+    lower, upper, turn = np.where(lower <= -FAR, -np.inf, lower), np.where(upper >= FAR, np.inf, upper), 2 * math.pi
     low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - turn, -math.pi))
     high = np.where(np.isfinite(upper), upper, low + turn)
     middle = np.clip(0.0, np.minimum(low + math.pi, (low + high) / 2), np.maximum(high - math.pi, (low + high) / 2))

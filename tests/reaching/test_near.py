@@ -245,6 +245,16 @@ def test_starts_cover_the_limits_and_one_turn_of_a_wide_joint():
     np.testing.assert_allclose(high, [2, pi, 1 + 2 * pi, -2, 1, 5 + 2 * pi, pi])
 
 
+def test_limits_that_mean_none_are_none_to_the_starts():
+    wide = np.array([1e6, 1e4, 3.0])
+    cart = ck.from_dh([0, 0, 0.5], [-np.pi / 2, -np.pi / 2, 0], [0, 0, 0.3], kinds="PPR", lower=-wide, upper=wide)
+    q = np.random.default_rng(0).uniform(-1, 1, (30, 3))
+    assert ck.reach(cart, tips(cart, q)[:, :3, 3], task="position", near=q + 0.3).solved.all()
+    assert ck.reach(cart, tips(cart, q)[:, :3, 3], task="position").solved.all()
+    wider = ck.replace(cart, lower=(-1.7e308, -1e4, -3.0), upper=(1.7e308, 1e4, 3.0))
+    np.testing.assert_array_equal(spans(wider), spans(cart))
+
+
 def test_whole_turns_lead_to_the_nearest_place_within_the_range():
     rng = np.random.default_rng(0)
     q, about, low, high = rng.uniform([-20, -20, -9, 1], [20, 20, 0, 8], (500, 4)).T
