@@ -97,8 +97,8 @@ class Asked:
         made = xp.where(finite, made, int(status.NON_FINITE))
         none = (made == status.JUMP) | (made == status.NON_FINITE) | ~xp.isfinite(row.position_error)
         gone = xp.where(none[..., None], xp.nan, 0.0)
-        errors = xp.stack([row.position_error, row.orientation_error], -1) + gone
-        return xp.concatenate([row.q + gone, made[..., None], errors, rows[..., self.chain.n + 3 :]], -1)
+        away = xp.stack([row.position_error, row.orientation_error, row.distance], -1) + gone
+        return xp.concatenate([row.q + gone, made[..., None], away, rows[..., self.chain.n + 4 :]], -1)
 
 
 def asked_of(chain, *rest) -> Asked:

@@ -40,7 +40,7 @@ class Reached:
     status: Int[AnyArray, " *B"]  # values of `ReachStatus`
     position_error: Float[AnyArray, " *B"]  # [m], of the task's coordinates, evaluated again in float64
     orientation_error: Float[AnyArray, " *B"]  # [rad], about the task's axes
-    distance: Float[AnyArray, " *B"]  # largest joint's distance from `near` [rad, m]; NaN without it
+    distance: Float[AnyArray, " *B"]  # largest joint's distance from `near` [rad, m]; NaN without it or q
     chain: Chain  # the robot
     task: Task  # the task
 

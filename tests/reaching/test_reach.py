@@ -129,6 +129,7 @@ def test_near_beyond_the_limits_is_no_way_around_a_jump():
         for some in (target, np.stack([target] * 12)):
             made = ck.reach(HELD, some, task=PLANE, near=near, jump=0.1)
             assert np.all(made.status == ReachStatus[name]) and np.isnan(made.q).all() == (name == "JUMP")
+            assert np.isnan(made.distance).all() == (name == "JUMP")  # of joint values that are given
 
 
 @pytest.mark.filterwarnings("error")
