@@ -66,7 +66,7 @@ def quaternions(rotations) -> np.ndarray:
 def shape_of(value) -> tuple:
     """Return the shape of an array, traced or not, or of nested sequences; () if rows have different lengths."""
     if not isinstance(value, (list, tuple)):
-        return tuple(getattr(value, "shape", ()))
+        return np.shape(value)
     inner = set(map(shape_of, value))
     return (len(value), *inner.pop()) if len(inner) == 1 else ()
 

@@ -133,6 +133,14 @@ def test_four_quaternions_are_no_transform():
     assert read(np.eye(4), pose())[1]  # a pose has one reading
 
 
+def test_a_list_of_poses_of_pinocchio_is_its_transforms():
+    some = [pin.SE3(R, P), pin.SE3(R.T, -P)]
+    for task in (pose(), orientation()):
+        found, alone = read(some, task)
+        np.testing.assert_array_equal(found, read(np.stack([one.homogeneous for one in some]), task)[0])
+        assert not alone
+
+
 def test_quaternions_of_rotations_are_scipys():
     turns = Rotation.random(20, random_state=1)
     found = poses.quaternions(turns.as_matrix())
