@@ -349,10 +349,10 @@ def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float)
     """Return the response of a loop that removes a share s of an error in each step."""
     loop, inside, kept = scalar_loop(drive, Ts), scalar_loop(within(drive), Ts), float(drive.kept(Ts))
     N = settled_by(loop, s)
-    weights = (1 - kept) * kept ** np.arange(N + 1)
+    weights, length = (1 - kept) * kept ** np.arange(N + 1), 1 << (2 * N + 1).bit_length()
 
     def filtered(signal):  # by the filter of the command or target
-        return np.fft.irfft(np.fft.rfft(signal, 2 * N + 2) * np.fft.rfft(weights, 2 * N + 2))[: len(signal)]
+        return np.fft.irfft(np.fft.rfft(signal, length) * np.fft.rfft(weights, length))[: len(signal)]
 
     noisy = loop.disturbed - s * loop.b * loop.noise
     away, fed, noise = loop.response(s, loop.q, np.stack([loop.displaced, loop.b, noisy], -1), N).T
