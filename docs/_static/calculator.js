@@ -201,7 +201,9 @@ const cnclik = (() => {
     const servoj = velocity ? null : z({ feedback: "measured", command: "position", ...look });
     return { pink: measured, placo: measured, moveit: measured && measured / Ts, isaac: rebased, servoj: servoj && servoj / Ts };
   }
-  return { gains, response, elsewhere };
+  /** Whether double precision is enough for these polynomials: not for a servo that is slow beside Ts. */
+  const resolves = ({ frequency: w, damping }, Ts) => !w || w * Ts >= 2e-3 * Math.max(1, damping);
+  return { gains, response, elsewhere, resolves };
 })();
 
 // --- the page -------------------------------------------------------------------------------------------
@@ -224,7 +226,7 @@ for (const form of document.querySelectorAll("#loop")) {
     const answers = { ...cnclik.gains(drive, Ts, method, M), ...cnclik.elsewhere(drive, Ts) };
     answers.settling = answers.recommended && cnclik.response(drive, Ts, answers.recommended, method, M).settling;
     answers.margin = answers.recommended && answers.stable / answers.recommended;
-    for (const cell of document.querySelectorAll("[data-answer]")) cell.textContent = show(answers[cell.dataset.answer]);
+    for (const cell of document.querySelectorAll("[data-answer]")) cell.textContent = cnclik.resolves(drive, Ts) ? show(answers[cell.dataset.answer]) : "too slow a servo: ask ck.gains";
     for (const label of form.querySelectorAll("[data-for]"))
       label.hidden = !label.dataset.for.split(" ").includes(value(label.dataset.of));
     history.replaceState(null, "", `#${new URLSearchParams(new FormData(form))}`);
@@ -238,7 +240,7 @@ for (const form of document.querySelectorAll("#loop")) {
     row.innerHTML = `<th scope="row">${DEAD[i]}</th>`;
     for (const T of SAMPLING) {
       const cell = row.insertCell(), { recommended } = cnclik.gains({ ...drive, delay: DEAD[i] / T }, T / 1e3, method, M);
-      cell.textContent = show(recommended, 2);
+      cell.textContent = cnclik.resolves(drive, T / 1e3) ? show(recommended, 2) : "";
       cell.style.setProperty("--shade", `${Math.min(Math.max(36 * Math.log10(recommended), 0), 90)}%`);
       cell.ariaCurrent = T === nearest(SAMPLING, Ts * 1e3) && DEAD[i] === nearest(DEAD, drive.delay * Ts * 1e3);
     }
