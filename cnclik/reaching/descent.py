@@ -104,8 +104,8 @@ def _step(chain, task, terms: Terms, s: State, target, bounds, careful) -> State
     j, squares = rows(task, at), functools.reduce(jnp.maximum, squares)
     if task.weights is not None or unit_of(chain) != 1.0:
         e, j = terms.roots * e, terms.roots[:, None] * j
-    cost, size, (low, high) = e @ e, jnp.sum(j**2), bounds
-    better, here = (cost <= s.cost) | ~careful, (squares <= terms.tolerance**2).all()
+    cost, size, here = e @ e, jnp.sum(j**2), (squares <= terms.tolerance**2).all()
+    better, (low, high) = (cost <= s.cost) | ~careful | here, bounds
     helped = jnp.where(cost < s.cost, jnp.maximum(s.trust * SHRINK, LEAST_TRUST), s.trust)
     changed = jnp.where(better, helped, jnp.minimum(s.trust * GROW, MOST_TRUST))
     trust = jnp.where(careful, changed, s.trust)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik import ReachStatus
-from tests.reaching.test_reach import tips
+from tests.reaching.test_reach import drawn, tips
 
 # Modified Denavit-Hartenberg parameters of an arm whose wrist is spherical.
 A, ALPHA = (0.0, 0.16, 0.78, 0.15, 0.0, 0.0), (0.0, -np.pi / 2, 0.0, -np.pi / 2, np.pi / 2, -np.pi / 2)
@@ -104,3 +104,11 @@ def test_solutions_of_two_links():
     far = ck.reach(two, [5.0, 0, 0], task=task, solutions=2)
     assert far.status.tolist() == [ReachStatus.OUT_OF_REACH, ReachStatus.NO_OTHER] and np.isfinite(far.q[0]).all()
     assert str(far) == "1 OUT_OF_REACH, 1 NO_OTHER"
+
+
+def test_solved_is_within_each_tolerance():
+    """Also after a posture with a smaller sum of both errors, of which one is beyond its tolerance."""
+    six = arm()
+    made = ck.reach(six, tips(six, drawn(six, 200)), tolerance=(1e-2, 1e-1), solutions=3)
+    assert made.solved.mean() > 0.8
+    assert made.position_error[made.solved].max() <= 1e-2 and made.orientation_error[made.solved].max() <= 0.1 + 1e-12
