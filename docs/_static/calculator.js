@@ -201,9 +201,12 @@ const cnclik = (() => {
     const servoj = velocity ? null : z({ feedback: "measured", command: "position", ...look });
     return { pink: measured, placo: measured, moveit: measured && measured / Ts, isaac: rebased, servoj: servoj && servoj / Ts };
   }
-  /** Whether double precision is enough for these polynomials: not for a servo that is slow beside Ts. */
-  const resolves = ({ frequency: w, damping }, Ts) => !w || w * Ts >= 2e-3 * Math.max(1, damping);
-  return { gains, response, elsewhere, resolves };
+  /** Why there is no answer: too late a loop, or a servo so slow beside Ts that rounding decides; "" where there is one. */
+  function refusal({ delay, frequency: w, damping }, Ts) {
+    if (delay > 100) return "no answer for more than 100 samples of dead time";
+    return w && w * Ts < 2e-3 * Math.max(1, damping) ? "too slow a servo: ask ck.gains" : "";
+  }
+  return { gains, response, elsewhere, refusal };
 })();
 
 // --- the page -------------------------------------------------------------------------------------------
@@ -218,15 +221,16 @@ for (const form of document.querySelectorAll("#loop")) {
     const Ts = Math.max(number("Ts"), 0.1) / 1e3, method = value("method"), M = value("M") === "" ? null : Math.round(number("M"));
     const lag = value("drive") === "lag" ? number("lag") / 1e3 : 0, frequency = value("drive") === "servo" ? number("frequency") : 0;
     const drive = {
-      delay: Math.min(number("dead") / 1e3 / Ts, 100), lag, frequency, damping: number("damping") || 1,
+      delay: number("dead") / 1e3 / Ts, lag, frequency, damping: number("damping") || 1,
       command: value("command") === "velocity" ? "velocity" : "position",
       feedback: value("command") === "rebased" && (lag || frequency) ? "rebased" : value("feedback"),
       smoothing: value("smoothed") === "none" ? 0 : Math.min(number("smoothing"), 0.999), smoothed: value("smoothed"),
     };
-    const answers = { ...cnclik.gains(drive, Ts, method, M), ...cnclik.elsewhere(drive, Ts) };
+    const refused = cnclik.refusal(drive, Ts);
+    const answers = refused ? {} : { ...cnclik.gains(drive, Ts, method, M), ...cnclik.elsewhere(drive, Ts) };
     answers.settling = answers.recommended && cnclik.response(drive, Ts, answers.recommended, method, M).settling;
     answers.margin = answers.recommended && answers.stable / answers.recommended;
-    for (const cell of document.querySelectorAll("[data-answer]")) cell.textContent = cnclik.resolves(drive, Ts) ? show(answers[cell.dataset.answer]) : "too slow a servo: ask ck.gains";
+    for (const cell of document.querySelectorAll("[data-answer]")) cell.textContent = refused || show(answers[cell.dataset.answer]);
     for (const label of form.querySelectorAll("[data-for]"))
       label.hidden = !label.dataset.for.split(" ").includes(value(label.dataset.of));
     history.replaceState(null, "", `#${new URLSearchParams(new FormData(form))}`);
@@ -240,7 +244,7 @@ for (const form of document.querySelectorAll("#loop")) {
     row.innerHTML = `<th scope="row">${DEAD[i]}</th>`;
     for (const T of SAMPLING) {
       const cell = row.insertCell(), { recommended } = cnclik.gains({ ...drive, delay: DEAD[i] / T }, T / 1e3, method, M);
-      cell.textContent = cnclik.resolves(drive, T / 1e3) ? show(recommended, 2) : "";
+      cell.textContent = cnclik.refusal({ ...drive, delay: 0 }, T / 1e3) ? "" : show(recommended, 2);
       cell.style.setProperty("--shade", `${Math.min(Math.max(36 * Math.log10(recommended), 0), 90)}%`);
       cell.ariaCurrent = T === nearest(SAMPLING, Ts * 1e3) && DEAD[i] === nearest(DEAD, drive.delay * Ts * 1e3);
     }

@@ -403,12 +403,13 @@ def test_the_page_answers_as_gains_does(tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs Node.js")
-def test_the_page_answers_of_no_servo_that_rounding_decides():
-    """At 5 kHz of one of 5 rad/s it said "none"."""
-    servos = [dict(delay=0.5, frequency=w, damping=0.7, command="velocity", smoothed="none") for w in (5.0, 10.0)]
+def test_the_page_refuses_what_it_cannot_answer():
+    """At 5 kHz a servo of 5 rad/s had "none"; of 150 samples of dead time it answered for 100."""
+    loops = [dict(delay=d, frequency=w, damping=0.7, smoothed="none") for d, w in ((0.5, 5), (150, 10), (0.5, 10))]
     page = f"globalThis.document = {{ querySelectorAll: () => [] }};\n{SCRIPT.read_text(encoding='utf-8')}"
-    ask = f"{json.dumps(servos)}.map((d) => [cnclik.resolves(d, 2e-4), cnclik.gains(d, 2e-4).recommended])"
+    ask = f"{json.dumps(loops)}.map((d) => cnclik.refusal(d, 2e-4) || cnclik.gains(d, 2e-4).recommended)"
     run = ["node", "-e", f"{page}\nconsole.log(JSON.stringify({ask}))"]
-    (slow, _), (quick, gain) = json.loads(subprocess.run(run, capture_output=True, text=True, check=True).stdout)
+    slow, late, gain = json.loads(subprocess.run(run, capture_output=True, text=True, check=True).stdout)
     drive = Drive(delay=0.5, natural_frequency=10.0, damping_ratio=0.7)
-    assert not slow and quick and gain == pytest.approx(ck.gains(Ts=2e-4, drive=drive).recommended, rel=1e-4)
+    assert "slow" in slow and "100 samples" in late
+    assert gain == pytest.approx(ck.gains(Ts=2e-4, drive=drive).recommended, rel=1e-4)
