@@ -68,7 +68,7 @@ class Viewer:
         self.url = f"http://{server.get_host()}:{server.get_port()}"
         thick, count = shapes.thickness(chain), len(motion.poses)
         status = motion.data.status.values
-        self.levels = level(np.append(status, status[-1:]))[:count]
+        self.levels = level(np.append(status, status[-1:] if status.size else 0))[:count]
         scene.set_up_direction("+z")
         scene.configure_default_lights(cast_shadow=False)
         meshes, every = ([], motion.poses) if robot is None else shapes.meshes_of(robot, motion)

@@ -89,6 +89,14 @@ def test_the_target_of_one_tip_of_several_is_that_tips():
     assert made.targets[0] is None and made.targets[1] == pytest.approx(made.paths[1], abs=1e-5)
 
 
+def test_a_run_of_no_steps_is_shown():
+    robot = ck.planar_arm([1.0, 0.8])
+    law, q0 = ck.Law(robot, ck.position("xy"), alpha=1.0), np.array([0.3, 0.5])
+    shown = viewer.view(ck.solve(law, ck.hold([1.0, 0.5]), q0, 0.01, 0), law)
+    shown.stop()
+    assert "OK" in shown.caption.content
+
+
 # --- meshes and shapes ----------------------------------------------------------------------------------
 
 
