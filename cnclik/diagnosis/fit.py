@@ -12,7 +12,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.diagnosis.recording import LARGEST, columns, sampling_time, unwrapped
 from cnclik.integrate.drive import COMMANDS, MOST, Drive
-from cnclik.record import ArrayLike, Float, record
+from cnclik.record import ArrayLike, Float, record, replace
 from cnclik.stability.gain import gains
 
 NUMBERS = {  # of each model besides the dead time
@@ -107,8 +107,8 @@ def fit_drive(
     """
     velocity = errors.one_of("command_kind", command_kind, COMMANDS) == "velocity"
     command = columns("command", command, "fit_drive")
-    motion = columns("motion", motion, "fit_drive", like=command)
-    motion, wraps = unwrapped(motion)
+    measured = columns("motion", motion, "fit_drive", like=command)
+    motion, wraps = unwrapped(measured)
     if not velocity:
         command = np.where(wraps.any(0), np.unwrap(command, axis=0), command)  # else a turn may be meant
     for name, values in (("command", command), ("motion", motion)):
@@ -120,7 +120,8 @@ def fit_drive(
         values, lower = _least(log, kind, _starts(log, kind))
         if lower < score - BETTER:
             best, score, fitted = kind, lower, values
-    return _fitted(log, best, fitted)
+    fit = _fitted(log, best, fitted)
+    return replace(fit, motion=fit.motion + measured - motion)  # in the log's own turns
 
 
 class _Log:

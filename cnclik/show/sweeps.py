@@ -84,8 +84,8 @@ class Layout(NamedTuple):
 
 def numeric(data) -> list:
     """Return the dimensions with numbers along them, those of a question of stability first."""
-    dims = [d for d in data.dims if d in data.coords and data[d].dtype.kind in "if" and d not in samples(data)]
-    dims = [d for d in dims if f"{d}_value" not in data.coords]  # vectors to choose from
+    dims = [d for d in data.dims if d in data.coords and data[d].dtype.kind in "if" and d != "seed"]
+    dims = [d for d in dims if f"{d}_value" not in data.coords]  # nor such that count vectors
     dims = [d for d in dims if data.sizes[d] > 1] or dims[:1]  # an axis of one value is none
     return sorted(dims, key=lambda d: (d != "alpha", d != "Ts"))
 

@@ -74,8 +74,8 @@ class Gains:
     Attributes:
       largest_stable: the largest that is stable.
       without_overshoot: the largest with which a step of the target is not passed by more than 1 %.
-      recommended: the same even with one more sample of dead time, at most 1/Ts, and no more than removes the most of
-        an error per step; 0 where there is none.
+      recommended: the same even with one more sample of dead time, at most 1/Ts, and at most the gain with which a step
+        removes the most of an error; 0 where there is none.
       Ts: sampling time [s]. method, M: of the loop. drive: of all joints, as given or as assumed.
       assumed: whether nothing was known of the drives, so that a dead time of 30 ms and a lag of 100 ms are assumed.
       shares: the three limits as shares of an error that a step may remove, whatever the method.
@@ -123,7 +123,7 @@ class Gains:
                 "outside of this loop: the robot follows its commands late, and steady errors of it are not corrected"
             )
         if self.recommended < 0.999 * min(gain_removing(self.shares[2], self.method, self.M), MOST_Z) / self.Ts:
-            return "a step by this method removes the most of an error: by a larger gain it removes less"
+            return "here a step of this method removes the most: with a larger gain it removes less of an error"
         if np.isclose(self.recommended * self.Ts, MOST_Z):
             return f"above z = alpha·Ts = {MOST_Z:g} noise increases more than the settling time decreases"
         late = "the assumed dead time" if self.assumed else f"the {self.drive.lumped.delay:g} given"
@@ -349,9 +349,9 @@ def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float)
     """Return the response of a loop that removes a share s of an error in each step."""
     loop, inside, kept = scalar_loop(drive, Ts), scalar_loop(within(drive), Ts), float(drive.kept(Ts))
     N = settled_by(loop, s)
-    weights, length = (1 - kept) * kept ** np.arange(N + 1), 1 << (2 * N + 1).bit_length()
 
     def filtered(signal):  # by the filter of the command or target
+        weights, length = (1 - kept) * kept ** np.arange(N + 1), 1 << (2 * N + 1).bit_length()
         return np.fft.irfft(np.fft.rfft(signal, length) * np.fft.rfft(weights, length))[: len(signal)]
 
     noisy = loop.disturbed - s * loop.b * loop.noise

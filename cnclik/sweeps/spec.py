@@ -72,6 +72,7 @@ class Spec:
     folder: pathlib.Path  # where files named in the spec are searched first
     axes: tuple = ()  # of `Axis`, those of tables first
     metric_units: dict = dataclasses.field(default_factory=dict)  # where loops differ in one, all of theirs
+    limited: bool = True  # whether theory gives a largest stable z: not where drives and gains differ
 
     def grid(self) -> Grid:
         """Return the axes, cut into blocks: a power of two, smaller for long loops, enough to keep the cores busy."""
@@ -173,10 +174,8 @@ class Spec:
         """
         with jax.enable_x64(True):
             limit, alpha, Ts = (self._over(of, name, most) for name, most in MOST.items())
-            made = (self.loop(program, end).build() for program in self.programs() for end in (np.argmin, np.argmax))
-            limit = None if any(mixed(one.law, one.drive) for one in made if one.drive is not None) else limit
         z = None if alpha is None or Ts is None else alpha * Ts
-        each = {LIMIT: (limit, "largest stable z of linear theory"), Z: (z, "z = α·Ts")}
+        each = {LIMIT: (limit if self.limited else None, "largest stable z of linear theory"), Z: (z, "z = α·Ts")}
         coords = of.coordinates(self.all_units())
         about = {name: {"units": "1", "long_name": words} for name, (_, words) in each.items()}
         return coords | {name: (v.dims, v.values, about[name]) for name, (v, _) in each.items() if v is not None}
@@ -348,11 +347,12 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         known_keys(where, table, (*OPTIONS, *sorted(set().union(*used))))
     widest = max((a.values[0].size for a in spec.axes if a.inner and a.name not in spec.drawn), default=1)
     ends = list(itertools.product((np.argmin, np.argmax, lambda v: np.argmin(np.abs(v))), range(widest)))
-    laws = [spec.loop(program, *end).build().law for program in spec.programs() for end in ends]
-    for law in laws:
-        check_metrics(spec.metrics, law)
-    each = {name: " or ".join(dict.fromkeys(unit_of(name, law) for law in laws)) for name in spec.metrics}
-    return dataclasses.replace(spec, metric_units=each)
+    made = [spec.loop(program, *end).build() for program in spec.programs() for end in ends]
+    for one in made:
+        check_metrics(spec.metrics, one.law)
+    each = {name: " or ".join(dict.fromkeys(unit_of(name, one.law) for one in made)) for name in spec.metrics}
+    limited = not any(one.drive is not None and mixed(one.law, one.drive) for one in made)
+    return dataclasses.replace(spec, metric_units=each, limited=limited)
 
 
 def _check_names(spec: Spec):

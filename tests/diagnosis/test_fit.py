@@ -161,3 +161,4 @@ def test_a_joint_that_wraps_has_the_drive_of_one_that_does_not():
     plain, wrapped = (fit_drive(None, *both, 0.002) for both in ((command, motion), within_pi))
     assert wrapped.recommended_alpha == pytest.approx(plain.recommended_alpha, rel=1e-3)
     assert wrapped.drive.delay == pytest.approx(2.0, abs=0.01)
+    np.testing.assert_allclose(wrapped.motion, within_pi[1][:, None], atol=0.01)  # in the log's own turns
