@@ -31,7 +31,6 @@ def run(
       resolution: resolution of the encoders [rad, m].
     """
     from cnclik.diagnosis.check import PUBLISHED, check_log
-    from cnclik.record import replace
 
     recorded, chain = read(log, **columns), None
     if robot is not None:
@@ -55,13 +54,18 @@ def run(
     q, command = whole[:, : len(places)], whole[:, len(places) :] if sent else None
     t, names = None if recorded.t is None else recorded.t[: len(q)], [recorded.names[i] for i in (*places, *sent)]
     with errors.called("q", "LOG"), errors.called("t", recorded.stamps.partition(",")[0]):
+        units = ["m" if recorded.lengths[i] else "rad" for i in places] if chain is None else None
         answer = check_log(
-            t, q, Ts=recorded.Ts, limits=table, chain=chain, command=command, resolution=resolution, names=names
+            t,
+            q,
+            Ts=recorded.Ts,
+            limits=table,
+            chain=chain,
+            command=command,
+            resolution=resolution,
+            names=names,
+            units=units,
         )
-    if chain is None:  # then check_log takes all for angles
-        metres = {recorded.names[i] for i in (*places, *sent) if recorded.lengths[i]}
-        found = [replace(f, unit=f.unit.replace("rad", "m")) if f.column in metres else f for f in answer.findings]
-        answer = replace(answer, findings=tuple(found))
     if json:
         findings = {"findings": answer.findings, "broken": len(answer.broken)}
         print_json(findings | {"Ts": answer.Ts, "Ts_from": recorded.stamps, "rows": answer.rows})

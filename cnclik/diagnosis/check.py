@@ -99,6 +99,7 @@ def check_log(
     command: Float[ArrayLike, "N ..."] | None = None,
     resolution: float = 0.0,
     names: Sequence[str] | None = None,
+    units: Sequence[str] | None = None,
 ) -> LogCheck:
     """Check which limits a log of joint values breaks, and where; and whether rows are missing, repeated or reversed.
 
@@ -114,6 +115,7 @@ def check_log(
         half-way between rows: how far they stray from the straight line if joints are interpolated linearly.
       command: (N, k) commanded joint values, compared with q and checked against the limits, too.
       resolution: of the encoders [rad, m]. names: of the columns of q, and then of those of command.
+      units: rad or m of each column of q; default: the chain's, else rad.
     Raises: ArgumentError for fewer than four rows, and for what does not fit.
     """
     q = columns("q", q, "check_log", least=4)
@@ -128,7 +130,9 @@ def check_log(
     t = np.asarray(errors.array("t", t, (len(q),)), float)
     Ts = spacing(t) if Ts is None else float(errors.number("Ts", Ts, positive=True))
     errors.number("resolution", resolution, at_least=0)
-    units = ["rad"] * k if chain is None else list(chain.units)
+    units = (["rad"] * k if chain is None else list(chain.units)) if units is None else list(units)
+    if len(units) != k or not {*units} <= {"rad", "m"}:
+        raise errors.fail("units", f"be rad or m of each of {k} columns", f"are {', '.join(map(str, units))}")
     findings, kept, gaps = _rows(t, np.abs(np.diff(q, axis=0)).sum(1), Ts)
     rows, t, q, sent = len(q), t[kept], q[kept], sent[kept]
     ways = [unwrapped(column, gaps) for column in (*q.T, *sent.T)]
@@ -152,16 +156,16 @@ def _limits(limits, chain, k) -> list[dict]:
         limits = PUBLISHED[errors.one_of("limits", limits, PUBLISHED)]
     limits = {} if limits is None else errors.kind("limits", limits, dict)
     limits = {errors.one_of("limits", name, ORDERS): value for name, value in limits.items()}
-    for name, value in limits.items():
-        errors.array(f"limits.{name}", value, finite=False, at_least=0)
     if chain is not None and not hasattr(chain, "joint_names"):
         raise errors.fail("chain", "be a Chain, such as load(...) gives", f"is {chain!r}")
     if chain is not None and chain.n != k:
         raise errors.fail("q", f"have a column for each of the chain's {chain.n} joints", f"has {k}")
     if chain is not None:
         limits = {"velocity": chain.velocity_limit, "lower": chain.lower, "upper": chain.upper} | limits
-    arrays = {n: np.asarray(errors.array(f"limits.{n}", v, (), (k,), finite=False), float) for n, v in limits.items()}
-    return [{name: float(np.broadcast_to(values, k)[j]) for name, values in arrays.items()} for j in range(k)]
+    for name, value in limits.items():
+        least = 0 if name in ORDERS else None
+        limits[name] = np.broadcast_to(errors.array(f"limits.{name}", value, (), (k,), finite=False, at_least=least), k)
+    return [{name: float(values[j]) for name, values in limits.items()} for j in range(k)]
 
 
 def _rows(t, moved, Ts) -> tuple:
