@@ -51,7 +51,8 @@ class Rate(NamedTuple):
         if not self.rate:
             return f"{self.name}: 0 asks for no motion"
         if not self.stable:
-            what = f"UNSTABLE where J# gives all that it asks for: stable up to {in_words(most.largest_stable)} 1/s"
+            up_to = f"stable up to {in_words(most.largest_stable)} 1/s" if most.largest_stable else "no gain is stable"
+            what = f"UNSTABLE where J# gives all that it asks for: {up_to}"
         elif self.rate > most.without_overshoot * (1 + ROUNDING):
             what = f"overshoots: without overshoot up to {in_words(most.without_overshoot)} 1/s"
         elif not self.within:

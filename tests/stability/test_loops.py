@@ -44,7 +44,10 @@ def test_a_gain_that_is_not_recommended_for_another_reason_than_dead_time():
     """Beyond 1/Ts a share of 0.7 does not overshoot; of a rebased servo no gain is recommended: "up to none 1/s"."""
     rebased = dict(command="position", feedback="rebased")
     servo = Drive(delay=4, natural_frequency=49.9, damping_ratio=0.2, **rebased)
-    for alpha, drive, wanted in ((120.0, Drive(lag=0.1, **rebased), "up to 100 1/s"), (1.0, servo, "no gain: each")):
+    stiff = ck.replace(servo, natural_frequency=122.3, damping_ratio=0.037, delay=2)
+    slow = Drive(lag=0.1, **rebased)
+    cases = (120.0, slow, "up to 100 1/s"), (1.0, servo, "no gain: each"), (3.0, stiff, "no gain is stable")
+    for alpha, drive, wanted in cases:
         said = str(advise(ck.Law(PANDA, ck.position(), alpha=alpha), Ts=0.01, drive=drive).rates[0])
         assert wanted in said and "overshoots with" not in said and "none" not in said
 
