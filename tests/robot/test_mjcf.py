@@ -13,9 +13,9 @@ from cnclik.errors import Remark
 from cnclik.robot.files import read_robot
 from cnclik.robot.mjcf import read_mjcf
 from cnclik.robot.urdf import chain
-from tests.oracles import close, robots
+from tests.oracles import close, robot_file
 from tests.refusals import refusals
-from tests.robot.test_trees import postures
+from tests.robot.test_trees import ROBOTS, ROOT, postures
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -46,15 +46,12 @@ HUMANOID = """<mujoco><worldbody><body name="pelvis" pos="0 0 1"><freejoint name
 <body name="foot" pos="0 0 -.4"><joint name="knee" axis="0 1 0"/><geom size=".05"/><site name="sole" pos="0 0 -.05"/>
 </body></body><body name="head" pos="0 0 .5"><joint name="neck" type="ball"/><geom size=".1"/></body>
 </body></worldbody></mujoco>"""
-URDFS = {
-    "panda": "panda_description/urdf/panda.urdf",
-    "g1": "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf",
-}
+PANDA = robot_file("panda")
 
 
 def through_mujoco(file):
     """A URDF file as MuJoCo has it, its links kept apart and without its meshes."""
-    root = ElementTree.parse(robots() / file).getroot()
+    root = ElementTree.parse(file).getroot()
     for link in root.iter("link"):
         for kind in ("visual", "collision"):
             for one in link.findall(kind):
@@ -64,13 +61,12 @@ def through_mujoco(file):
     return mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
 
 
-def compare(model, base=None, count=3, root=0):
+def compare(model, count, root):
     """Largest deviation of poses and Jacobians of all that joints move, and of the centre of mass; what is compared."""
     tree = read_mjcf(model)
-    base = tree.root if base is None else base
-    links = [k for k in tree.links if any(e.type != "fixed" for e in tree.way(k, base)[1]) and not tree.way(k, base)[0]]
-    links = [k for k in links if not {e.type for e in tree.way(k, base)[1]} & {"ball", "floating"} and " of " not in k]
-    robot = chain(tree, base=base, tips=links)
+    joints = {link: {e.type for e in tree.way(link)[1]} - {"fixed"} for link in tree.links if " of " not in link}
+    links = [link for link, types in joints.items() if types and "floating" not in types]
+    robot = chain(tree, tips=links)
     data, worst = mujoco.MjData(model), 0.0
     for q in postures(robot, count):
         way = np.transpose([ck.to_model_q(robot, model, q, v)[1] for v in np.eye(robot.n)])
@@ -79,8 +75,7 @@ def compare(model, base=None, count=3, root=0):
             data.qpos[model.jnt_qposadr[model.joint(name).id]] = value
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        origin, axes = data.body(base).xpos, data.body(base).xmat.reshape(3, 3)
-        worst = max(worst, np.abs(ck.com(robot, q) - axes.T @ (data.subtree_com[root] - origin)).max())
+        worst = max(worst, np.abs(ck.com(robot, q) - data.subtree_com[root]).max())
         for link in links:
             site = link.removesuffix(" (site)") if link.endswith("(site)") else link
             of_site = link != site or mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, link) < 0
@@ -88,11 +83,10 @@ def compare(model, base=None, count=3, root=0):
             j = np.zeros((6, model.nv))
             (mujoco.mj_jacSite if of_site else mujoco.mj_jacBody)(model, data, j[:3], j[3:], seen.id)
             found = ck.forward(robot, q, tip=link)
-            wanted = np.vstack([axes.T @ j[:3], axes.T @ j[3:]]) @ way
             pairs = (
-                (found.position, axes.T @ (seen.xpos - origin)),
-                (found.rotation, axes.T @ seen.xmat.reshape(3, 3)),
-                (ck.jacobian(robot, q, tip=link), wanted),
+                (found.position, seen.xpos),
+                (found.rotation, seen.xmat.reshape(3, 3)),
+                (ck.jacobian(robot, q, tip=link), j @ way),
             )
             worst = max(worst, *(np.abs(np.asarray(a) - b).max() for a, b in pairs))
     return worst, links
@@ -103,11 +97,6 @@ def still(model):
     each = [k for k in range(model.neq) if model.eq_type[k] == 2 and model.eq_obj2id[k] < 0]
     at = [(model.joint(model.eq_obj1id[k]), model.eq_data[k][0]) for k in each]
     return {joint.name: model.qpos0[joint.qposadr[0]] + shift for joint, shift in at}
-
-
-def compiled(name):
-    text = {"mixed": MIXED, "humanoid": HUMANOID}.get(name)
-    return mujoco.MjModel.from_xml_string(text) if text else through_mujoco(URDFS[name]).compile()
 
 
 def humanoid(text=HUMANOID):
@@ -129,15 +118,15 @@ def test_a_joint_that_follows_is_where_the_model_holds_it():
     assert speed == {"right": 1.6, "stuck": 0.0}
 
 
-@pytest.mark.parametrize("name", ["mixed", "humanoid", *URDFS])
+@pytest.mark.parametrize("name", ["mixed", "g1"])
 def test_all_bodies_and_sites_are_mujocos(name):
     """Breaks for joints of one body in another order, about another place, or counted from another zero.
 
     Masses are those of what has joints: neither of a table nor of a box that lies about.
     """
-    model, base = compiled(name), "pelvis" if name == "humanoid" else None
-    root = {"mixed": "base", "humanoid": "pelvis"}.get(name)
-    worst, links = compare(model, base, 1 if name == "g1" else 3, model.body(root).id if root else 0)
+    mixed = name == "mixed"
+    model = mujoco.MjModel.from_xml_string(MIXED) if mixed else through_mujoco(ROOT / ROBOTS["g1"]).compile()
+    worst, links = compare(model, 3 if mixed else 1, model.body("base").id if mixed else 0)
     assert worst < 1e-12 and len(links) > 1
 
 
@@ -145,11 +134,8 @@ def test_what_a_model_says_of_its_joints(tmp_path):
     file = tmp_path / "mixed.xml"
     file.write_text(MIXED, encoding="utf-8")
     tips = ["hand (site)", "finger", "camera", "hatch"]
-    every = [
-        ck.load_mjcf(m, tips=tips)
-        for m in (str(file), file, MIXED, mujoco.MjSpec.from_string(MIXED), compiled("mixed"))
-    ]
-    robot = every[0]
+    spec = mujoco.MjSpec.from_string(MIXED)
+    robot, *every = [ck.load_mjcf(m, tips=tips) for m in (str(file), file, MIXED, spec, spec.compile())]
     assert all(str(one) == str(robot) for one in every)
     assert robot.joint_names == ("turn", "lift", "roll", "left")
     close(robot.lower, [-np.pi / 2, -0.2, -np.inf, 0])
@@ -204,7 +190,7 @@ def test_one_reader_takes_files_and_names(tmp_path, monkeypatch, capsys):
     file.write_text("<?xml version='1.0'?>\n<!-- a <robot> -->\n" + HUMANOID, encoding="utf-8")
     other.write_bytes(file.read_bytes())
     (package / "one_mj_description.py").write_text(f"MJCF_PATH = {str(file)!r}")
-    (package / "panda_description.py").write_text(f"URDF_PATH = {str(robots() / URDFS['panda'])!r}")
+    (package / "panda_description.py").write_text(f"URDF_PATH = {str(PANDA)!r}")
     (package / "far_description.py").write_text("raise OSError('no network')")
     monkeypatch.syspath_prepend(tmp_path)
     for name in (file, str(other), "one_mj_description"):
@@ -212,7 +198,7 @@ def test_one_reader_takes_files_and_names(tmp_path, monkeypatch, capsys):
         assert robot.joint_names == ("knee",)
     assert ck.load("panda_description", tip="panda_hand").n == ck.load("panda").n == 7
     assert ck.load("planar:1,2") is ck.load("planar:1,2") and ck.load("planar:1,2").n == 2
-    assert ck.load(robots() / URDFS["panda"], tip="panda_link3").n == 3
+    assert ck.load(PANDA, tip="panda_link3").n == 3
     with pytest.raises(ck.ArgumentError, match="'far_description' ends with OSError: no network"):
         ck.load("far_description")
     for name, said in (("one_mj_description", "Tips .*: sole, head"), (str(file), "floating")):
