@@ -6,7 +6,7 @@ import pytest
 
 import cnclik as ck
 from tests.refusals import refusals
-from tests.robot.test_urdf import ROOT, Pinocchio, oracle
+from tests.robot.test_urdf import ROOT
 
 ROBOTS = {
     "g1": "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf",
@@ -27,21 +27,6 @@ GRIPPERS = ["left_gripper", "right_gripper"]
 def postures(robot, count, seed=0):
     low, high = (np.clip(bound, -np.pi, np.pi) for bound in (robot.lower, robot.upper))
     return np.random.default_rng(seed).uniform(low, high, (count, robot.n))
-
-
-def test_inner_links_names_and_places_of_their_own():
-    tips = {"elbow": "left_elbow_link", "camera": ("torso_link", [0.1, 0.0, 0.4]), "hand": ARMS[0]}
-    robot = ck.load_urdf(G1, tips=tips)
-    (q,), torso = postures(robot, 1), ck.load_urdf(G1, tip="torso_link")
-    assert [t.name for t in robot.tips] == list(tips) and robot.joint_names[:3] == torso.joint_names
-    at = ck.forward(torso, q[:3])
-    np.testing.assert_allclose(
-        ck.forward(robot, q, tip="camera").position, at.position + at.rotation @ np.array([0.1, 0, 0.4])
-    )
-    model, _ = oracle(G1)
-    position, _, j = Pinocchio(G1, model).at(robot.joint_names, q, "left_elbow_link", "pelvis")
-    np.testing.assert_allclose(ck.forward(robot, q, tip="elbow").position, position, atol=1e-12)
-    np.testing.assert_allclose(ck.jacobian(robot, q, tip="elbow"), j, atol=1e-12)
 
 
 def test_two_arms_are_joined():
@@ -69,6 +54,7 @@ def test_two_arms_are_joined():
 
 
 def test_tools_and_bases_of_trees():
+    """A tip's place on its link, whose axes are not those of the joint that carries it, is that of a tool there."""
     robot = ck.load_urdf(BAXTER, tips=GRIPPERS)
     (q,) = postures(robot, 1)
     longer = ck.with_base(ck.with_tool(robot, [0, 0, 0.1], tip=GRIPPERS[1]), [1.0, 2.0, 3.0])
@@ -76,6 +62,10 @@ def test_tools_and_bases_of_trees():
     np.testing.assert_allclose(after[0].position, np.add(before[0].position, [1, 2, 3]))
     end = before[1].position + before[1].rotation @ np.array([0, 0, 0.1]) + np.array([1, 2, 3])
     np.testing.assert_allclose(after[1].position, end, atol=1e-14)
+    camera, place = "left_hand_camera_link", [0.1, -0.2, 0.3]
+    held, placed = ck.load_urdf(BAXTER, tip=camera), ck.load_urdf(BAXTER, tips={"end": (camera, place)})
+    wanted = ck.forward(ck.with_tool(held, place), q[:7])
+    np.testing.assert_allclose(ck.forward(placed, q[:7]).position, wanted.position, atol=1e-14)
     assert "tips=['left_gripper'" in repr(robot)
 
 
