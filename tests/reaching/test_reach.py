@@ -205,8 +205,10 @@ def test_the_forms_of_targets():
     position, rotation = made[:, :3, 3], made[:, :3, :3]
     quaternion = quaternions(rotation)
     first = ck.reach(WRIST, made)
+    assert (quaternion[:, 0] >= 0).all()
     seven = np.concatenate([position, quaternion], 1)
-    for same in ((position, rotation), (position, quaternion), seven, made.tolist()):
+    poses = ck.Pose(position=position, rotation=rotation)
+    for same in ((position, rotation), (position, quaternion), seven, made.tolist(), poses):
         np.testing.assert_allclose(ck.reach(WRIST, same).q, first.q, atol=1e-5)
     one = ck.reach(WRIST, ck.forward(WRIST, jnp.array(first.q[0])))
     assert one.solved and one.q.shape == (6,)

@@ -9,6 +9,7 @@ import cnclik as ck
 from cnclik.robot.model import frames, jacobian_at, modelled
 from cnclik.robot.tree import read_urdf
 from cnclik.robot.urdf import chain
+from tests.refusals import refusals
 from tests.robot.test_mjcf import HUMANOID
 from tests.robot.test_trees import ROBOTS
 from tests.robot.test_urdf import ROOT, long_chain
@@ -105,16 +106,13 @@ def test_a_files_own_free_joint_is_a_base(kind):
         ck.load_urdf(text, freeze={"base": 0.0})
 
 
-def test_what_a_base_cannot_be_is_one_line():
-    text = DOG.format(JOINT.format("legs", "floating", ""))
-    with pytest.raises(
-        ck.ArgumentError, match="Argument `base` must be a link before a floating joint, but is beyond 'legs'"
-    ):
-        ck.load_urdf(text, tip="world", base="l0")
-    with pytest.raises(ck.ArgumentError, match="joint 'base' of the text is planar and has an axis that is not 0 0 1"):
-        ck.load_urdf(DOG.format(JOINT.format("base", "planar", '<axis xyz="0 0 -1"/>')))
-    with pytest.raises(ck.ArgumentError, match="`base` must be fixed, planar, free or one of"):
-        ck.load_urdf(long_chain(3), base="flying")
-    with pytest.raises(ck.ArgumentError, match="have the robot's joints, but has no base_x, base_y"):
-        model = pin.buildModelFromXML(long_chain(3))
-        ck.from_model_q(ck.load_urdf(long_chain(3), base="free"), model, pin.neutral(model))
+test_what_a_base_cannot_be = refusals(
+    (
+        lambda: ck.load_urdf(DOG.format(JOINT.format("legs", "floating", "")), tip="world", base="l0"),
+        "`base` must be a link before a floating joint, but is beyond 'legs'",
+    ),
+    (
+        lambda: ck.load_urdf(DOG.format(JOINT.format("base", "planar", '<axis xyz="0 0 -1"/>'))),
+        "joint 'base' of the text is planar and has an axis that is not 0 0 1",
+    ),
+)

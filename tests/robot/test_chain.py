@@ -76,19 +76,10 @@ def test_joints_one_by_one_are_a_product_of_exponentials(kinds, as_array):
         close(matrix(chain, q), product_of_exponentials(points, axes, TOOL, kinds, q), atol=1e-13)
 
 
-def test_array_geometry_is_a_leaf_and_literal_geometry_is_not():
-    assert jax.tree.leaves(ck.planar_arm(LENGTHS)) == []
-    leaves = jax.tree.leaves(ck.planar_arm(jnp.array(LENGTHS)))
-    np.testing.assert_array_equal(leaves, LENGTHS)
-
-
 def test_names_limits_and_repr():
-    arm = ck.planar_arm(LENGTHS, joint_names=["shoulder", "elbow", "wrist"])
-    assert arm.n == 3 and arm.joint_names == ("shoulder", "elbow", "wrist")
-    assert ck.planar_arm([1, 2]).joint_names == ("q1", "q2")
-    assert arm.lower == (-math.inf,) * 3 and arm.velocity_limit == (math.inf,) * 3
     chain = ck.from_dh([1.0, 1.0], [0.0, 0.0], [0.0, 0.0], kinds="RP", lower=[-1, 0], upper=np.array([1, 2]))
     assert chain.lower == (-1.0, 0.0) and chain.upper == (1.0, 2.0)
+    assert ARM.lower == (-math.inf,) * 2 and ARM.velocity_limit == (math.inf,) * 2
     assert repr(chain) == "Chain(RP, joint_names=['q1', 'q2'])"
 
 
@@ -148,16 +139,6 @@ def test_the_length_of_an_arm_is_known_or_traced():
             assert length == pytest.approx(max(sum(lengths), 1e-3))
     both = ck.join(ck.planar_arm([0.3]), ck.planar_arm([1.0, 0.8]), prefix="upper_", keep=True)
     assert arm_length(both) == pytest.approx(2.1) and arm_length(both, number=0) == pytest.approx(0.3)
-
-
-def test_public_functions_under_jit_and_vmap():
-    q = jnp.asarray(np.random.default_rng(5).uniform(-3, 3, (4, 7)))
-    many = jax.jit(jax.vmap(functools.partial(ck.jacobian, PANDA)))(q)
-    poses = jax.vmap(functools.partial(ck.forward, PANDA))(q)
-    assert many.shape == (4, 6, 7) and poses.position.shape == (4, 3) and poses.rotation.shape == (4, 3, 3)
-    for one, j, turn in zip(q, many, poses.rotation, strict=True):
-        close(j, ck.jacobian(PANDA, one), atol=1e-14)
-        close(turn, ck.forward(PANDA, one).rotation, atol=1e-14)
 
 
 def test_xla_gets_no_products_of_small_matrices():

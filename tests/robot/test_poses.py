@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 import cnclik as ck
 from cnclik.problem.build import problem_from
 from cnclik.reaching.targets import read
-from cnclik.robot import poses
 from cnclik.task.build import orientation, pose
 
 ARM = ck.planar_arm([0.5, 0.4])
@@ -139,9 +138,3 @@ def test_a_list_of_poses_of_pinocchio_is_its_transforms():
         found, alone = read(some, task)
         np.testing.assert_array_equal(found, read(np.stack([one.homogeneous for one in some]), task)[0])
         assert not alone
-
-
-def test_quaternions_of_rotations_are_scipys():
-    turns = Rotation.random(20, random_state=1)
-    found = poses.quaternions(turns.as_matrix())
-    assert np.abs(np.abs((found * turns.as_quat(scalar_first=True)).sum(axis=1)) - 1).max() < 1e-14
