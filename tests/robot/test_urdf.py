@@ -17,7 +17,6 @@ from tests.refusals import refusals
 
 ROOT = robots()
 FILES = sorted(str(p.relative_to(ROOT)) for p in ROOT.rglob("*.urdf"))
-CONFIGURATIONS = 20
 
 
 def oracle(path):
@@ -58,14 +57,20 @@ class Pinocchio:
                 known[name] = (multiplier * q[i] + offset, i, multiplier)
         return known
 
-    def at(self, names, q, tip, base):
-        model, data = self.model, self.data
+    def posed(self, names, q):
+        """Pinocchio's own coordinates, and how its velocities depend on those of the coordinates named."""
+        model = self.model
         full, columns = pin.neutral(model), np.zeros((model.nv, len(names)))
         for name, (value, i, multiplier) in self.values(names, q).items():
             joint = model.joints[model.getJointId(name)]
             circle = [np.cos(value), np.sin(value)]
             full[joint.idx_q : joint.idx_q + joint.nq] = circle if joint.nq == 2 else value
             columns[joint.idx_v, i] += multiplier
+        return full, columns
+
+    def at(self, names, q, tip, base):
+        model, data = self.model, self.data
+        full, columns = self.posed(names, q)
         pin.computeJointJacobians(model, data, full)
         pin.updateFramePlacements(model, data)
         frame, root = (model.getFrameId(link, pin.FrameType.BODY) for link in (tip, base))
@@ -82,10 +87,7 @@ def numbers(arm, q, tip=0):
     return at.position, at.rotation, jacobian_at(arm, at)
 
 
-traced = jax.jit(jax.vmap(numbers, (None, 0)))
-
-
-def compare(arm, base, path, model, count=CONFIGURATIONS):
+def compare(arm, base, path, model, count=4):
     """Largest deviation of pose and Jacobian of each tip from Pinocchio over random configurations within limits."""
     rng = np.random.default_rng(len(arm.tips[0].name))
     low, high = (np.clip(bound, -np.pi, np.pi) for bound in (arm.lower, arm.upper))
@@ -115,7 +117,7 @@ def test_leaves_of_every_robot_match_pinocchio(file):
         with pytest.raises(ck.ArgumentError, match="which is not in the file"):
             chain(tree, tips=tree.tips())
         return
-    assert not tree.tips() or compare(chain(tree, tips=tree.tips()), tree.root, path, model, 4) < 1e-12
+    assert not tree.tips() or compare(chain(tree, tips=tree.tips()), tree.root, path, model) < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -131,9 +133,11 @@ def test_a_way_through_the_root(file, base, tip):
     model, _ = oracle(ROOT / file)
     arm, back = (ck.load_urdf(ROOT / file, tips=[b], base=a) for a, b in ((base, tip), (tip, base)))
     assert compare(arm, base, ROOT / file, model) < 1e-12
-    q = np.random.default_rng(0).uniform(-1, 1, (3, arm.n))
-    for a, b in zip(traced(modelled(arm), q), numbers(modelled(arm), q), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-12)
+    if file.startswith("pr2"):  # joints of all kinds
+        q = np.random.default_rng(0).uniform(-1, 1, (3, arm.n))
+        traced = jax.jit(jax.vmap(numbers, (None, 0)))
+        for a, b in zip(traced(modelled(arm), q), numbers(modelled(arm), q), strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-12)
     about, again = (np.array([one.lower, one.upper, one.velocity_limit]) for one in (arm, back))
     order = [back.joint_names.index(name) for name in arm.joint_names]
     np.testing.assert_array_equal(again[:, order], about)
@@ -177,15 +181,9 @@ def robot(body):
     return f'<robot name="r">{body}</robot>'
 
 
-def test_a_mimic_joint_shares_the_coordinate_and_limits_of_its_leader():
-    mimic = '<mimic joint="j1" multiplier="-2" offset="0.5"/>'
-    body = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c", inside=mimic) + joint("j3", "c", "d", "prismatic")
-    arm = ck.load_urdf(robot(body))
-    assert arm.joint_names == ("j1", "j3")
-    assert [(j.coordinate, j.multiplier, j.offset) for j in arm.joints] == [(0, 1, 0), (0, -2, 0.5), (1, 1, 0)]
-    assert (arm.lower[0], arm.upper[0], arm.velocity_limit[0]) == (-1.0, 1.0, 2.0)
-    wide = ck.load_urdf(robot(body.replace('lower="-1" upper="1"', 'lower="-1e16" upper="1e16"')))  # stands for none
-    assert (wide.lower[0], wide.upper[0]) == (-np.inf, np.inf)
+def test_limits_too_large_to_be_meant_are_none():
+    arm = ck.load_urdf(robot(ROW.replace('lower="-1" upper="1"', 'lower="-1e16" upper="1e16"')))
+    assert arm.lower == (-np.inf,) * 3 and arm.upper == (np.inf,) * 3
 
 
 SPLIT = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c") + joint("j3", "b", "d")
