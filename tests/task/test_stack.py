@@ -86,7 +86,7 @@ def recursion(levels, lams):
     return q
 
 
-@pytest.mark.parametrize("lams", [(1e-4, 1e-2, 0.1), (1e-2, 1.01e-2, 1.02e-2), (1e-3, 0.05, 0.2)])
+@pytest.mark.parametrize("lams", [(1e-4, 1e-2, 0.1), (1e-2, 1.01e-2, 1.02e-2)])
 def test_levels_are_the_recursion(lams):
     """Breaks for a damping that is another level's, or squared twice."""
     q, order = np.array([0.3, 0.5, -0.4, 0.6]), ("angle", "tip", "rest")
