@@ -219,43 +219,21 @@ def test_next_to_a_singularity_a_near_miss_is_no_lack_of_reach():
         assert np.isin(made.status, [ReachStatus.JUMP, ReachStatus.OUT_OF_BUDGET]).all()
 
 
-def test_an_answer_at_a_limit_stays_there_when_near_is_at_the_other():
-    """A whole turn and back again is no turn, to the last bit: rounding put it beyond its limit, and then at the other.
-
-    All poses have joint 2 at its lower limit, and `near` is more than half a turn away from there.
-    """
-    panda, rng = arm_of("Panda"), np.random.default_rng(1)
-    q = rng.uniform(panda.lower, panda.upper, (30, 7))
-    q[:, 1] = panda.lower[1]
-    near = q + 0.01 * rng.normal(size=q.shape)
-    near[:, 1] = 0.95 * panda.upper[1]
-    targets = tips(panda, q)
-    made = ck.reach(panda, targets, near=near)
-    assert made.solved.sum() > 25
-    np.testing.assert_allclose(tips(panda, made.q)[made.solved], targets[made.solved], atol=2e-6)
-
-
 def test_starts_cover_the_limits_and_one_turn_of_a_wide_joint():
-    """Of a joint that may turn further: the turn about 0 where the limits have it, else the nearest one."""
-    limits = np.array([(-1, 2), (-20, 20), (1, 9), (-12, -2), (-np.inf, 1), (5, np.inf), (-np.inf, np.inf)])
-    arm = ck.planar_arm([0.3] * len(limits))
-    low, high = spans(ck.replace(arm, lower=limits[:, 0], upper=limits[:, 1]))
-    pi = np.pi
-    np.testing.assert_allclose(low, [-1, -pi, 1, -2 - 2 * pi, 1 - 2 * pi, 5, -pi])
-    np.testing.assert_allclose(high, [2, pi, 1 + 2 * pi, -2, 1, 5 + 2 * pi, pi])
+    """Of a joint that may turn further: the turn about 0 where the limits have it, else the nearest one.
 
-
-def test_limits_that_mean_none_are_none_to_the_starts():
-    wide = np.array([1e6, 1e4, 3.0])
-    cart = ck.from_dh([0, 0, 0.5], [-np.pi / 2, -np.pi / 2, 0], [0, 0, 0.3], kinds="PPR", lower=-wide, upper=wide)
-    q = np.random.default_rng(0).uniform(-1, 1, (30, 3))
-    assert ck.reach(cart, tips(cart, q)[:, :3, 3], task="position", near=q + 0.3).solved.all()
-    assert ck.reach(cart, tips(cart, q)[:, :3, 3], task="position").solved.all()
-    wider = ck.replace(cart, lower=(-1.7e308, -1e4, -3.0), upper=(1.7e308, 1e4, 3.0))
-    np.testing.assert_array_equal(spans(wider), spans(cart))
+    Limits so large that they mean none are none: of starts spread so far few would arrive.
+    """
+    limits = [(-1, 2), (-20, 20), (1, 9), (-12, -2), (-np.inf, 1), (5, np.inf), (-np.inf, np.inf)]
+    limits = np.array([*limits, (-9e3, 9e3), (-1e6, 1e4), (-1.7e308, 1.7e308)])  # those of sliding joints last
+    kinds, pi = "RRRRRRRPPP", np.pi
+    low, high = spans(ck.from_dh(*np.zeros((3, 10)), kinds=kinds, lower=limits[:, 0], upper=limits[:, 1]))
+    np.testing.assert_allclose(low, [-1, -pi, 1, -2 - 2 * pi, 1 - 2 * pi, 5, -pi, -9e3, -pi, -pi])
+    np.testing.assert_allclose(high, [2, pi, 1 + 2 * pi, -2, 1, 5 + 2 * pi, pi, 9e3, pi, pi])
 
 
 def test_whole_turns_lead_to_the_nearest_place_within_the_range():
+    """A turn and back again is none, to the last bit: rounding put answers beyond a limit, and then at the other."""
     rng = np.random.default_rng(0)
     q, about, low, high = rng.uniform([-20, -20, -9, 1], [20, 20, 0, 8], (500, 4)).T
     every = q + 2 * np.pi * np.arange(-9, 10)[:, None]
@@ -263,6 +241,9 @@ def test_whole_turns_lead_to_the_nearest_place_within_the_range():
     found, some = turned(q, about, True, low, high), np.isfinite(away).any(0)
     np.testing.assert_allclose(found[some], every[away.argmin(0), np.arange(500)][some])
     np.testing.assert_array_equal(turned(q, about, False, low, high), q)
+    alone = high - low < 2 * np.pi
+    for end in (low, high):
+        np.testing.assert_array_equal(turned(end, about, True, low, high)[alone], end[alone])
 
 
 AXES = [[0, 0, 1], [1, 0, 0], [0, 1, 0], [1, 0, 0]]

@@ -20,12 +20,8 @@ def arm(limit=np.pi):
     return ck.from_dh(*dh, convention="modified", lower=[-limit] * 6, upper=[limit] * 6)
 
 
-def rx(angle):
-    return Rotation.from_euler("x", angle).as_matrix()
-
-
-def rz(angle):
-    return Rotation.from_euler("z", angle).as_matrix()
+def turn(axis, angle):
+    return Rotation.from_euler(axis, angle).as_matrix()
 
 
 def in_closed_form(target):
@@ -33,7 +29,7 @@ def in_closed_form(target):
     wrist, found = target[:3, 3] - D[5] * target[:3, 2], []
     for shoulder, elbow, flip in itertools.product((0, 1), (1, -1), (1, -1)):
         first = np.arctan2(wrist[1], wrist[0]) + shoulder * np.pi
-        x, y, _ = rx(ALPHA[1]).T @ (rz(first).T @ (wrist - [0, 0, D[0]])) - [A[1], 0, 0]
+        x, y, _ = turn("x", ALPHA[1]).T @ (turn("z", first).T @ (wrist - [0, 0, D[0]])) - [A[1], 0, 0]
         upper, fore = A[2], np.hypot(A[3], D[3])
         cosine = (x * x + y * y - upper**2 - fore**2) / (2 * upper * fore)
         if abs(cosine) > 1:
@@ -41,8 +37,8 @@ def in_closed_form(target):
         bend = elbow * np.arccos(cosine)
         second = np.arctan2(y, x) - np.arctan2(fore * np.sin(bend), upper + fore * np.cos(bend))
         third = bend - np.arctan2(D[3], A[3])
-        to_wrist = rz(first) @ rx(ALPHA[1]) @ rz(second) @ rz(third)
-        left = rx(-ALPHA[3]) @ to_wrist.T @ target[:3, :3]  # Rz(θ4) Ry(−θ5) Rz(θ6)
+        to_wrist = turn("z", first) @ turn("x", ALPHA[1]) @ turn("z", second) @ turn("z", third)
+        left = turn("x", -ALPHA[3]) @ to_wrist.T @ target[:3, :3]  # Rz(θ4) Ry(−θ5) Rz(θ6)
         nod = flip * np.arccos(np.clip(left[2, 2], -1, 1))
         fourth = np.arctan2(flip * left[1, 2], flip * left[0, 2])
         sixth = np.arctan2(flip * left[2, 1], -flip * left[2, 0])
