@@ -24,9 +24,9 @@ def arm(n):
     return ck.replace(made, lower=(-2.0,) * n, upper=(2.0,) * n, velocity_limit=(1.5,) * n)
 
 
-def built(source, *flags):
+def built(source):
     """The loaded library of a C file, with CFLAGS."""
-    words = [*command(), *FLAGS.split(), *flags, *os.environ.get("CFLAGS", "").split()]
+    words = [*command(), *FLAGS.split(), *os.environ.get("CFLAGS", "").split()]
     subprocess.run([*words, "-o", f"{source}.so", str(source), "-lm"], check=True)
     return opened(f"{source}.so")
 
