@@ -7,7 +7,6 @@ needs a loop of no special kind takes one of these, and asks it for numbers.
 import functools
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 import cnclik as ck
@@ -97,12 +96,6 @@ class Loop(NamedTuple):
     def numbers(self):
         """`numbers` in the dtype of the loop."""
         return [v.astype(self.dtype) for v in numbers(self.name)]
-
-
-@functools.cache
-def lanes(loop):
-    """The loop over a batch of numbers, as its users run it."""
-    return jax.jit(jax.vmap(loop.run))
 
 
 def by_pinocchio(alpha, Ts, q0, target):

@@ -5,7 +5,6 @@ tests/integrate/test_combinations.py.
 """
 
 import jax
-import numpy as np
 import pytest
 
 from engine.compare import check
@@ -22,12 +21,3 @@ def test_c_scalars_source_and_oracle_are_one(loop):
     assert found["q"].dtype == loop.dtype and not found["status"].any()
     for k in range(bank.LANES if loop.name == "g1" else 0):
         close(found["q"][k], bank.by_pinocchio(*(v[k] for v in given)), atol=1e-11)
-
-
-def test_a_lane_with_no_number_is_told_alone():
-    loop = bank.LOOPS[0]
-    alpha, Ts, q0, target = loop.numbers()
-    q0 = q0.copy()
-    q0[3, 0] = np.nan
-    status = bank.lanes(loop)(alpha, Ts, q0, target)["status"]
-    assert (np.asarray(status) != 0).any(1).tolist() == [k == 3 for k in range(bank.LANES)]

@@ -112,12 +112,13 @@ def test_without_a_c_form_it_is_the_function():
         return jnp.linalg.svd(x, compute_uv=False)
 
     x = np.random.default_rng(0).normal(size=(5, 2, 2))
-    same(jax.vmap(ck.native(of))(x), jax.vmap(of)(x))
-    same(jax.jacrev(ck.native(of))(x[0]), jax.jacrev(of)(x[0]), ulps=100)
+    found, wanted = (jax.jit(lambda x, fn=fn: (jax.vmap(fn)(x), jax.jacrev(fn)(x[0])))(x) for fn in (ck.native(of), of))
+    same(found, wanted, ulps=100)
 
 
-@pytest.mark.parametrize("key", [jax.random.key(0), jax.random.PRNGKey(0)], ids=["typed", "raw"])
-def test_a_key_of_random_numbers_may_be_an_argument_and_a_result(key):
+def test_a_key_of_random_numbers_may_be_an_argument_and_a_result():
+    key = jax.random.key(0)
+
     def of(key, x):
         return x * jax.random.normal(key, (3,))
 
@@ -129,7 +130,7 @@ def test_a_key_of_random_numbers_may_be_an_argument_and_a_result(key):
 
 def test_empty_arrays():
     def of(x):
-        sums = x.sum(), x.sum(0), x.prod(1), jnp.cumsum(x, 0), x @ x, jnp.any(x > 1, 0)
+        sums = x.sum(), x.sum(0), x.prod(), jnp.cumsum(x, 0), x @ x, jnp.any(x > 1), jnp.all(x > 1)
         algebra = jnp.linalg.cholesky(x), jnp.linalg.solve(x, x[:, :0]), jnp.linalg.inv(x)
         places = jnp.ones(3).at[x.ravel().astype(int)].set(0.0), jnp.append(x.ravel(), jnp.ones(2)), jnp.pad(x, 1)
         return sums, algebra, places, lax.scan(lambda c, v: (c + v.sum(), v), 1.0, x)
@@ -153,7 +154,7 @@ def moved(q0):
     return jnp.sum(ck.solve(bank.law("planar2"), ck.hold([1.2, 0.9]), q0, 0.01, 4, "EE").e[-1] ** 2)
 
 
-@pytest.mark.parametrize("fn", [ck.lanes(moved), jax.vmap(moved), jax.vmap(jax.grad(moved)), ck.lanes(jax.grad(moved))])
+@pytest.mark.parametrize("fn", [ck.lanes(moved), jax.vmap(jax.grad(moved))])
 def test_for_a_gpu_it_is_jax_alone(fn):
     """Lowered for CUDA, without one: neither C nor LAPACK, and the engine's scalars."""
     text = jax.jit(fn).trace(np.zeros((300, 2))).lower(lowering_platforms=("cuda",)).as_text()
