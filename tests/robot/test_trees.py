@@ -30,7 +30,7 @@ def postures(robot, count, seed=0):
 
 
 def test_two_arms_are_joined():
-    """Against the same robot as one tree: a torso that carries two arms."""
+    """Against the same robot as one tree: a torso that carries two arms. Also under jit and vmap."""
     torso = ck.load_urdf(G1, tips={"left": "torso_link", "right": "torso_link", "head": ("torso_link", [0, 0, 0.4])})
     (q,), alone = postures(torso, 1), ck.panda()
     where = np.eye(4)
@@ -42,15 +42,22 @@ def test_two_arms_are_joined():
     arms = postures(alone, 2, seed=1)
     q = np.concatenate([q, *arms])
     carrier = ck.forward(torso, q[:3], tip="head")
-    sides = ("left", "right")
-    slopes = jax.jit(jax.jacfwd(lambda v: {s: ck.forward(robot, v, tip=f"{s}_tip").position for s in sides}))(q)
+
+    @jax.vmap
+    def slopes(v):
+        tips = [t.name for t in robot.tips]
+        by_jax = jax.jacfwd(lambda v: {tip: ck.forward(robot, v, tip=tip).position for tip in tips})(v)
+        return by_jax, {tip: ck.jacobian(robot, v, tip=tip) for tip in tips}
+
+    by_jax, traced = jax.jit(slopes)(q[None])
     for side, own, offset in (("left", arms[0], [0, 0.3, -0.2]), ("right", arms[1], [0, -0.3, -0.2])):
         at, tip = ck.forward(robot, q, tip=f"{side}_tip"), ck.forward(alone, own)
         np.testing.assert_allclose(at.rotation, carrier.rotation @ tip.rotation, atol=1e-14)
         away = carrier.rotation @ (np.array(offset) + tip.position)
         np.testing.assert_allclose(at.position, carrier.position + away, atol=1e-14)
         j = np.asarray(ck.jacobian(robot, q, tip=f"{side}_tip"))
-        np.testing.assert_allclose(j[:3], slopes[side], atol=1e-13)
+        np.testing.assert_allclose(j[:3], by_jax[f"{side}_tip"][0], atol=1e-13)
+        np.testing.assert_allclose(traced[f"{side}_tip"][0], j, atol=1e-14)
 
 
 def test_tools_and_bases_of_trees():
