@@ -28,8 +28,8 @@ def shown(capsys, *argv):
     return " ".join(capsys.readouterr().out.split())
 
 
-def test_files_hold_the_run(tmp_path):
-    main([*ARM, "--alpha", "0", "--out", str(tmp_path)])
+def test_files_hold_the_run(tmp_path, capsys):
+    assert "the gain is 0" in shown(capsys, *ARM, "--alpha", "0", "--out", tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {writing.LIST, "trajectory.nc", "overview.png", "tip.png"}
     with xr.open_dataset(tmp_path / "trajectory.nc") as data:
         assert data.q.shape == (31, 2) and json.loads(data.attrs["config"])["robot"] == "planar:1,1"
@@ -67,7 +67,6 @@ def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, 
 
 def test_what_a_loop_did_and_what_to_change(tmp_path, capsys):
     """The exit code is that of a command that did its work; what --json prints mends the loop."""
-    assert "the gain is 0" in shown(capsys, *ARM, "--alpha", "0", "--no-figures", "--out", tmp_path)
     assert "(q1), no limits" in shown(capsys, *ARM, "--alpha", "1e308", "--no-figures", "--out", tmp_path)  # not finite
     loop = ["solve", "planar:1,1", "--task", "xy", "--target", "0.5", "1.2", "--Ts", "0.1", "--method", "EE", "--N", 40]
     loop += ["--no-figures", "--json", "--out", tmp_path]
@@ -103,35 +102,32 @@ def test_a_full_disk_leaves_the_answer(tmp_path, monkeypatch, capsys):
     assert not list(tmp_path.rglob(".partial-*"))
 
 
-def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
-    """ "1.67e+05 % of a joint's limit, up to 1.67e+03 times it; 0 µs a step; 0.00918 µm"."""
-    file, run = tmp_path / "hand.urdf", ["--task", "xy", "--no-figures", "--out", tmp_path / "out"]
-    file.write_text(HAND.replace('velocity="3"', 'velocity="0.01"'))
-    said = shown(capsys, "solve", file, "--q0", 0.5, 0.9, 0.2, "--alpha", 20, "--target", 0.3, 0.2, *run)
-    assert re.search(r"up to [\d.]+ rad/s \(j2\), \d{1,3},\d{3} % of its limit ", said), said
-    said = shown(capsys, "solve", file, "--q0", 0.5, 0.9, 0.2, "--reference", "circle", "--radius", "0.05", *run)
-    assert re.search(r"the error is at most [\d.]+ nm", said) and not re.search(r" 0 µs|e-\d+ µ", said), said
-
-
 def test_the_fastest_joint_is_named_and_whose_limit_is_nearest(capsys, tmp_path):
-    (tmp_path / "hand.urdf").write_text(HAND.replace('velocity="3"', 'velocity="0.1"', 1))
-    run = ["solve", tmp_path / "hand.urdf", "--task", "xy", "--q0", 0.5, 0.9, 0.2, "--target", 0.3, 0.3, "--N", 40]
-    run += ["--no-figures", "--out", tmp_path / "out"]
-    fast = re.search(r"joint velocity up to (\S+) rad/s \((j\d)\), \S+ % of the limit of j1", shown(capsys, *run))
+    """In numbers without powers of ten: "1.67e+05 % of a joint's limit; 0 µs a step; 0.00918 µm"."""
+    (tmp_path / "hand.urdf").write_text(HAND.replace('velocity="3"', 'velocity="0.01"', 1))
+    run = ["solve", tmp_path / "hand.urdf", "--task", "xy", "--q0", 0.5, 0.9, 0.2, "--no-figures"]
+    run += ["--out", tmp_path / "out"]
+    said = shown(capsys, *run, "--reference", "circle", "--radius", "0.05")
+    assert re.search(r"the error is at most [\d.]+ nm", said) and not re.search(r" 0 µs|e-\d+ µ", said), said
+    run += ["--N", 40, "--target", 0.3, 0.3]
+    said = shown(capsys, *run)
+    fast = re.search(r"joint velocity up to (\S+) rad/s \((j\d)\), \d{1,3},\d{3} % of the limit of j1", said)
     with xr.open_dataset(tmp_path / "out" / "trajectory.nc") as data:
         most = np.abs(data.qdot.values).max(0)
     assert fast[2] == f"j{1 + most.argmax()}" != "j1" and float(fast[1]) == pytest.approx(most.max(), rel=1e-2)
     assert "up to 0 rad/s (j1), 0 % of its limit" in shown(capsys, *run, "--alpha", 0)  # not "no limits"
 
 
-def test_a_remark_is_one_line_and_an_entry_of_json(tmp_path, capsys):
+def test_random_targets_as_json_and_a_remark_is_one_line_and_an_entry_of_it(tmp_path, capsys):
     file = tmp_path / "hand.urdf"
     heavy = '<link name="arm"><inertial><mass value="heavy"/></inertial></link>'
     file.write_text(HAND.replace('<link name="arm"/>', heavy))
-    main(["reach", str(file), "--random", "2", "--task", "xy", "--json"])
+    main(["reach", str(file), "--random", "50", "--task", "xy", "--json"])
     said = capsys.readouterr()
     assert said.err.count("as one without masses") == said.err.count("\n") == 1
-    assert '"remarks": ["Link' in said.out
+    found = json.loads(said.out)
+    assert found["targets"] == 50 and found["solve_rate"] == 1.0 and found["status"] == {"SOLVED": 50}
+    assert found["seconds"] > 0 and found["remarks"][0].startswith("Link")
 
 
 LINKS = "planar:1,0.8"
@@ -162,13 +158,6 @@ def test_answers_in_a_file(targets, tmp_path, capsys):
     main(["reach", "planar:1,1", "--target", "2", "-0.0", "--task", "xy", "--near", "0", "-0.0",
           "--out", str(tmp_path / "zero.csv")])  # fmt: skip
     assert "-0.0," not in (tmp_path / "zero.csv").read_text()  # which an arm at its zero often has
-
-
-def test_random_targets_as_json(capsys):
-    main(["reach", LINKS, "--random", "50", "--task", "xy", "--json"])
-    said = json.loads(capsys.readouterr().out)
-    assert said["targets"] == 50 and said["solve_rate"] == 1.0 and said["status"] == {"SOLVED": 50}
-    assert said["seconds"] > 0
 
 
 def test_a_path_with_a_jump(tmp_path, capsys):
