@@ -120,12 +120,17 @@ def faults(page):
             yield f"more than {LONG_SENTENCE} words: {sentence.strip()[:100]}"
 
 
-def pages():
+def written():
     """Pages of the site, and of results."""
     made = ("results", "gallery-pages")  # by a build
     outside = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "sweeps/README.md")]
     docs = [p for p in sorted((ROOT / "docs").rglob("*.md")) if p.relative_to(ROOT / "docs").parts[0] not in made]
-    for path in (*outside, *docs, *sorted((ROOT / "results").rglob("*.md"))):
+    return (*outside, *docs, *sorted((ROOT / "results").rglob("*.md")))
+
+
+def pages():
+    """Their sentences."""
+    for path in written():
         yield from ((path, 1, fault) for fault in faults(text(path)))
 
 
