@@ -166,7 +166,6 @@ def test_a_joint_that_rests_is_a_joint_whatever_its_name(tmp_path, capsys):
         ([], 0, "No limits are given."),
         (["--limits", "limits.csv"], 1, "Broken limits: 2. The worst: velocity of j1_cmd at 0.5 s."),
         (["--columns", "j1_pos", "--limits", "limits.csv"], 1, "Broken limits: 1. The worst: velocity of j1_pos"),
-        (["--limits", "fr4"], 2, "Option `--limits` must be one of panda, fr3, FILE.csv, but is 'fr4'"),
         (["--limits", "robot.urdf"], 2, "Option `--limits` must be one of panda, fr3, FILE.csv, but is 'robot.urdf'"),
         (["--tip", "hand"], 2, "Option `--tip` must come with ROBOT, but comes without."),
         (["panda"], 2, "must have a column for each of the chain's 7 joints, but has 1"),
