@@ -16,7 +16,6 @@ from cnclik.measure.files import save_netcdf
 from cnclik.problem.tables import read_columns
 from cnclik.writing import output_folder
 
-
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 

@@ -103,7 +103,6 @@ test_figures_that_cannot_be = refusals(
     ({"kind": "heat", "select": {"alpha": 2.0}}, "must have two numeric axes, but is 'heat'"),
     ({"kind": "slices", "select": {"method": "RK4"}}, "`figure[0].select.method` must be one of EE, IE, CN"),
     ({"kind": "best", "select": {"method": "EE"}}, "must be 'heat' for a single method"),
-    ({"kind": "heat", "value": "error"}, "`figure[0].value` must be one of max_error, evaluations"),
     of=lambda **table: drawn(data(**PLANE), table),
 )
 
