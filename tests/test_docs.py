@@ -160,6 +160,7 @@ def test_a_page_runs(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, fewer_points in (("CHART_POINTS", 3), ("CELLS", 8), ("PASSES", (0, 1))):
         monkeypatch.setattr(f"cnclik.cli.stability.{name}", fewer_points)
+    monkeypatch.setattr("cnclik.show.style.DPI", 50)
     read_aloud(page, tmp_path, less=True)
 
 

@@ -78,15 +78,11 @@ def test_each_tip_has_a_path_and_a_target():
     parts = [(task, unit) for task, unit, _ in motion.error_parts(made.data)]
     assert parts == [("grip", "m"), ("grip", "rad"), ("box", "m"), ("rest", "rad")]
     assert "error grip" in viewer.caption(made.data, 3)
-
-
-def test_the_target_of_one_tip_of_several_is_that_tips():
-    """A target along x and y of the right hand was the left one's, at its height."""
-    robot = bank.robot("two arms")
-    q0, task = np.full(robot.n, 0.3), ck.position("xy", tip=robot.tips[1].name)
-    law = ck.Law(robot, task, alpha=1.0)
-    made = motion.motion_of(to_dataset(ck.solve(law, ck.hold_at(robot, task, q0), q0, 0.01, 1), law), robot)
-    assert made.targets[0] is None and made.targets[1] == pytest.approx(made.paths[1], abs=1e-5)
+    # A target of the right hand alone, along x and y, was the left one's, at its height.
+    alone = ck.replace(run, x=made.paths[1][:, :2], e=np.full((21, 2), 0.1))
+    law = ck.Law(robot, ck.position("xy", tip=hands[1]), alpha=1.0)
+    left, right = motion.motion_of(to_dataset(alone, law), robot).targets
+    assert left is None and right == pytest.approx(made.paths[1] + [0.1, 0.1, 0.0], abs=1e-5)
 
 
 def test_a_run_of_no_steps_is_shown():
