@@ -17,7 +17,7 @@ FILES = {
     "stack.csv": "stamp,a.x,b.x\n" + "".join(f"{k},{'inf' if k == 2 else k},{k * k}\n" for k in range(20)),
     "back.csv": "stamp,q\n" + "".join(f"{-0.1 * k},{k}\n" for k in range(20)),
     "bare.csv": "q\n1\n2\n",
-    "empty.csv": "q\n",
+    "times.csv": "t\n0\n1\n",
 }
 MISTAKES = [
     ("sovle panda", "Argument `verb` must be one of", "(did you mean 'solve'?)."),
@@ -50,6 +50,7 @@ MISTAKES = [
     ("reach panda", "One of TARGETS, --target X Y Z and --random N must be given, but there is none"),
     ("reach planar:1,1 text.txt", "`TARGETS` must end with .csv, but is 'text.txt'"),
     ("reach planar:1,1 --random 3 --out x.txt", "`--out` must end with .csv"),
+    ("reach panda --random 3 --path --near 0 0 0 0 0 0 0", "Option `--near` must be left out with --path"),
     ("stability --draw chart", "Option `--draw` must be some of gains, plane, map, but is 'chart'."),
     ("stability --out figures", "Option `--out` must come with --draw, but comes without."),
     ("stability --task xy", "Option `--task` must come with ROBOT or --draw map, but comes without."),
@@ -66,6 +67,8 @@ MISTAKES = [
     (["diagnose", "log.csv", "--Ts", "1 2"], "Option `--Ts` must be a number, but is '1 2'."),
     ("diagnose log.csv --columns q3", "Option `--columns` must be one of t, q1, but is 'q3'"),
     ("diagnose log.csv --step --columns q1", "Option `--columns` must name as many motions as commands"),
+    ("diagnose log.csv --step", "must name commands, then motions, but is left out, and LOG has t, q1."),
+    ("diagnose times.csv", "Argument `LOG` must have a column besides the times, but has none."),
     ("diagnose log.csv", "Argument `LOG` must have at least 16 rows, but has 3."),
     ("diagnose stack.csv --columns b.x a.x", "must hold a finite number in every row of its columns, but"),
     ("diagnose back.csv", "Argument `stamp` must increase, but the median step is -0.1 s."),
