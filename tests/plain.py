@@ -1,4 +1,4 @@
-"""Every metric once more, in plain NumPy on one trajectory: what sweeps are compared with."""
+"""Every metric once more, in plain NumPy on one trajectory."""
 
 import numpy as np
 

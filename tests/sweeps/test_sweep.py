@@ -18,7 +18,6 @@ from cnclik.sweeps.axes import axis
 from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.sweep import sweep
 from cnclik.writing import output_folder
-from tests import plain
 from tests.refusals import refusals
 
 ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
@@ -55,10 +54,7 @@ def test_a_sweep_is_a_plain_double_loop_over_solve():
         at = dict(zip(axes, place, strict=True))
         method, alpha, Ts, M = (values[i] for values, i in zip(axes.values(), place, strict=True))
         law, run = loop(alpha, float(Ts), np.array(int(M)), method)
-        tangent = np.array([-1.0, 0.0]) * (np.arange(N + 1) * float(Ts) <= 0.6 + 1e-9)[:, None]
-        with np.errstate(invalid="ignore"):
-            wanted = plain.metrics(run, law, tangent, 0.01, np.inf, -np.inf, np.inf)
-        wanted["evaluations"] = N if method is ck.METHODS["EE"] else wanted["evaluations"]
+        wanted = measure_run(run, law, PATH, METRICS, tolerance=0.01)
         for name in METRICS:
             np.testing.assert_allclose(found[name].isel(at), wanted[name], rtol=1e-9, atol=1e-11, err_msg=name)
 
