@@ -21,13 +21,6 @@ def shown(capsys, *options):
     return " ".join(capsys.readouterr().out.split())
 
 
-def rows_of(said):
-    """The numbers of the table."""
-    return [
-        re.search(rf"{n.replace('_', ' ')} (\S+) (\S+) (\S+) ", said.replace("no limit", "inf")).groups() for n in GAINS
-    ]
-
-
 @pytest.mark.parametrize(
     ("options", "drive", "loop"),
     [
@@ -47,7 +40,9 @@ def test_the_table_has_the_three_gains_and_those_of_explicit_euler(options, driv
     loop = {"Ts": 0.01, "drive": drive if drive is None else ck.Drive(**drive)} | loop
     ours, euler = ck.gains(**loop), ck.gains(**loop | {"method": "EE", "M": None})
     wanted = [(alpha := getattr(ours, n), alpha * ours.Ts, getattr(euler, n)) for n in GAINS]
-    np.testing.assert_allclose(np.array(rows_of(said), float), wanted, rtol=1e-3)
+    table = said.replace("no limit", "inf")
+    rows = [re.search(rf"{n.replace('_', ' ')} (\S+) (\S+) (\S+) ", table).groups() for n in GAINS]
+    np.testing.assert_allclose(np.array(rows, float), wanted, rtol=1e-3)
     assert f"{1e3 * 0.1 * ours.response.lag:.3g} mm without feed-forward" in said
     assert f"a step does not overshoot and settles in {ours.response.settling_time:.3g} s" in said
     assert f"MoveIt Servo {euler.recommended:.4g} " in said and ("assumed" in said) == (drive is None)

@@ -53,13 +53,6 @@ def run(qdot=None, status=None):
     )
 
 
-def limits(panel):
-    """Heights of the limit lines of a panel."""
-    return sorted(
-        line.get_ydata()[0] for line in panel.lines if to_rgb(line.get_color()) == to_rgb(style.LIMIT["color"])
-    )
-
-
 @pytest.mark.parametrize("kind, panels", [("overview", 4), ("tip", 1)])
 def test_every_kind_is_a_figure_around_numbers_that_are_not_finite(kind, panels, tmp_path):
     figure = pictures.plot(run(np.where(np.arange(N) < 10, 0.3, np.nan)), LAW, kind)
@@ -72,7 +65,8 @@ def test_every_kind_is_a_figure_around_numbers_that_are_not_finite(kind, panels,
 @pytest.mark.parametrize("swing, drawn", [((0.1, -0.1), []), ((0.1, -0.7), [-1.0]), ((1.0, -1.05), [-1.0, 1.0])])
 def test_velocity_limits_on_each_side_that_comes_near(swing, drawn):
     speed = pictures.plot(run(np.resize(swing, N)), LAW).axes[2]
-    assert limits(speed) == drawn and "over its limit" in speed.get_ylabel()
+    lines = [line for line in speed.lines if to_rgb(line.get_color()) == to_rgb(style.LIMIT["color"])]
+    assert sorted(line.get_ydata()[0] for line in lines) == drawn and "over its limit" in speed.get_ylabel()
 
 
 def test_the_tips_path_is_that_of_the_joints_and_ends_at_its_target():
@@ -162,7 +156,6 @@ def test_saved_figures_are_reproducible_and_those_of_savefig(tmp_path, form):
     if form == "png":
         with Image.open(files[0]) as image:
             assert image.text == {"Title": "t", "Software": "cnclik"}
-    plt.close("all")
 
 
 @pytest.mark.parametrize(
@@ -175,7 +168,7 @@ def test_saved_figures_are_reproducible_and_those_of_savefig(tmp_path, form):
     ],
 )
 def test_a_logarithmic_axis_of_few_decades_has_plain_numbers(values, labels):
-    figure, panel = plt.subplots()
+    panel = plt.figure().add_subplot()
     panel.plot(values, values)
     style.log_scale(panel.xaxis, values)
     low, high = panel.get_xlim()
@@ -184,7 +177,6 @@ def test_a_logarithmic_axis_of_few_decades_has_plain_numbers(values, labels):
     ]
     assert panel.get_xscale() == ("log" if labels else "linear")
     assert labels is None or set(labels) <= set(shown), shown
-    plt.close(figure)
 
 
 NOTEBOOK = """

@@ -26,12 +26,6 @@ ARM = "planar:1,0.8"
 HANDS = ["left_rubber_hand", "right_rubber_hand"]
 
 
-def moved(chain, q):
-    """The motion of a robot that stays at q."""
-    data = SimpleNamespace(q=SimpleNamespace(values=q[None]))
-    return motion.Motion(chain, data, motion.link_poses(chain, q[None]), ())
-
-
 # --- motions --------------------------------------------------------------------------------------------
 
 
@@ -125,7 +119,8 @@ def test_meshes_are_where_pinocchio_has_the_links(name, links, tmp_path):
     start = data.oMf[model.getFrameId(links["base"])].inverse() if base is None else None
     if start is None:
         start = pin.SE3(pin.rpy.rpyToMatrix(0, 0, base[2]), np.array([*base[:2], 0]))
-    found, poses = shapes.meshes_of(file, moved(chain, own))
+    data_of = SimpleNamespace(q=SimpleNamespace(values=own[None]))
+    found, poses = shapes.meshes_of(file, motion.Motion(chain, data_of, motion.link_poses(chain, own[None]), ()))
     frames = [frame for frame in model.frames if frame.type == pin.BODY and frame.name != "universe"]
     places = np.array([(poses[0, shape.frame] @ [*shape.mesh.centroid, 1])[:3] for shape in found])
     for frame in frames:

@@ -149,10 +149,6 @@ def test_a_process_that_cannot_begin_tells_the_others(path, tmp_path, monkeypatc
     assert said == [(2, False, False), (2, True, False)]
 
 
-class Stopped(Exception):  # noqa: N818
-    pass
-
-
 def test_a_run_that_a_full_disk_and_a_stop_ended_goes_on_and_ends_bit_identical(
     path, undisturbed, tmp_path, monkeypatch
 ):
@@ -173,9 +169,9 @@ def test_a_run_that_a_full_disk_and_a_stop_ended_goes_on_and_ends_bit_identical(
 
     def stop(done, total):
         if done >= 30:
-            raise Stopped
+            raise KeyboardInterrupt
 
-    with pytest.raises(Stopped):
+    with pytest.raises(KeyboardInterrupt):
         store.run(read(path), tmp_path, progress=stop)
     with jax.enable_x64(False):  # the default in Python makes no difference
         assert store.run(read(path), tmp_path, progress=lambda done, total: seen.append(total))
@@ -183,15 +179,13 @@ def test_a_run_that_a_full_disk_and_a_stop_ended_goes_on_and_ends_bit_identical(
     assert_same(tmp_path, undisturbed)
 
 
-ENVIRONMENT = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_ENABLE_X64": "1"}
-
-
 def test_two_processes_make_one_store(path, undisturbed, tmp_path):
     with socket.socket() as s:
         s.bind(("localhost", 0))
         place = f"localhost:{s.getsockname()[1]}:2"
     line = [sys.executable, "-m", "cnclik", "sweep", path, "--out", tmp_path, "--no-figures", "--distributed"]
-    heard = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "env": ENVIRONMENT}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_ENABLE_X64": "1"}
+    heard = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "env": environment}
     done = [subprocess.Popen([*line, f"{place}:{i}"], **heard) for i in range(2)]
     said = [process.communicate(timeout=400)[0] for process in done]
     assert not any(process.returncode for process in done), said
