@@ -33,9 +33,9 @@ def test_programs_of_a_function_are_few_and_right(monkeypatch):
         traced.append(power)
         return x**power
 
-    for k in (*range(1, 9), 8, 8, 1):
+    for k in (*range(1, 5), 4, 4, 1):
         assert raised(2.0, power=k) == 2.0**k
-    assert traced == [*range(1, 9), 8, 1]  # every fourth makes room, and what is asked for again is there
+    assert traced == [*range(1, 5), 4, 1]  # every fourth makes room, and what is asked for again is there
 
 
 def test_a_robot_that_nobody_holds_takes_its_programs_along():
