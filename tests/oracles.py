@@ -1,5 +1,6 @@
 """Independent references for the tests: plain NumPy, SciPy, Pinocchio. Nothing here uses cnclik."""
 
+import functools
 import importlib.metadata
 import pathlib
 
@@ -19,6 +20,7 @@ ARMS = {
 }
 
 
+@functools.cache
 def robots() -> pathlib.Path:
     """Folder of the robots of the example-robot-data wheel."""
     files = importlib.metadata.files("example-robot-data")
