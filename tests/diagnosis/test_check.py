@@ -6,7 +6,6 @@ import pytest
 import cnclik as ck
 from cnclik.diagnosis import check_log
 from cnclik.diagnosis.recording import sampling_time
-from cnclik.errors import ArgumentError
 
 K = np.arange(1000)
 
@@ -93,9 +92,3 @@ def test_how_far_the_tip_strays_half_way():
     assert "inf" not in str(check)  # nothing is a share of a limit of 0
     assert check.broken[0].value == pytest.approx(0.1)
     assert worst(check_log(None, np.arange(9.0), Ts=1.0, units=["m"]), "velocity").unit == "m/s"
-    with pytest.raises(ArgumentError, match="`units` must be rad or m of each of 1 columns, but are rad, m"):
-        check_log(None, np.zeros(9), Ts=1.0, units=["rad", "m"])
-    with pytest.raises(ArgumentError, match="`names` must be a list of 1 names, but is 'elbow'"):
-        check_log(None, np.zeros(9), Ts=1.0, names="elbow")
-    with pytest.raises(ArgumentError, match=r"`limits\.velocity` must be at least 0, but is -1"):
-        check_log(None, np.zeros(9), Ts=1.0, limits={"velocity": -1.0})  # which nothing exceeded

@@ -13,12 +13,9 @@ from tests.refusals import refusals
 @pytest.mark.parametrize("alpha", [69.02, None])
 def test_pure_dead_time_is_told_from_a_lag(alpha):
     """Five samples of 4 ms, noise of 0.2 mrad, encoders of 0.1 mrad: 4.06 samples and a lag were said, surely."""
-    rng, q, sent, seen = np.random.default_rng(0), 0.0, [0.0] * 6, []
-    for k in range(300):
-        seen.append(1e-4 * np.round((q + 2e-4 * rng.standard_normal()) / 1e-4))
-        sent.append(69.02 * TS * (0.05 * (k > 10) - seen[-1]))
-        q += sent[-6]
-    found = diagnose(seen, TS, alpha=alpha)
+    noise = 2e-4 * np.random.default_rng(0).standard_normal(290)
+    e = np.pad(loop(69.02 * TS, 5, 290, push=0.05, noise=noise) + noise, (10, 0))
+    found = diagnose(1e-4 * np.round(e / 1e-4), TS, alpha=alpha)
     assert found.cause == "dead time" and found.interval[0] <= 5 <= found.interval[1] and found.drive.order == 0
     assert ends(found, 69.02 * TS, 5) and found.drive.delay == pytest.approx(5, abs=0.1)
 
@@ -34,6 +31,7 @@ def test_what_surrounds_a_swing_does_not_matter():
     found = diagnose(joints, TS, alpha=z / TS)
     assert ends(found, z, 4)
     assert np.nanstd(found.fitted - joints) < 0.02
+    assert diagnose(0.5 * loop(0.13, 7, 425) - 1e-3 * t[:425], TS).cause == "dead time"  # drifts
     held = np.repeat(loop(stable(2), 2, 60) + 0.02 * rng.standard_normal(60), 10)  # by a slow sensor
     assert diagnose(held, TS / 10).kind != "calm"
     for size in (1e-250, 1e20):
@@ -74,14 +72,13 @@ def test_growing_oscillations_of_any_speed(z, d):
     assert diagnose(e[np.abs(e) < 1e12], TS, alpha=z / TS / 3).kind != "calm"  # a third of alpha is no reason to grow
 
 
-@pytest.mark.parametrize(("growth", "noise"), [(1.005, 0.0), (1.05, 1e-3), (1.3, 0.0), (2.0, 0.0), (3.0, 1e-3)])
-def test_growth_without_swinging_is_a_wrong_sign(growth, noise):
-    rng = np.random.default_rng(1)
-    e = 0.1 * growth ** np.arange(max(min(8000, int(np.log(1e5) / np.log(growth))), 16), dtype=float)
-    y = np.stack([0.3 + e, 1 - 0.5 * e], 1)
-    found = diagnose(y + noise * np.ptp(y, axis=0) * rng.standard_normal(y.shape), TS)
-    assert found.kind == "growth without oscillation" and found.cause == "wrong sign", str(found)
-    assert np.log(found.growth) == pytest.approx(np.log(growth), rel=0.1) and found.factor is None
+def test_growth_without_swinging_is_a_wrong_sign():
+    for growth, noise in ((1.005, 0.0), (1.05, 1e-3), (1.3, 0.0), (2.0, 0.0), (3.0, 1e-3)):
+        e = 0.1 * growth ** np.arange(max(int(np.log(1e5) / np.log(growth)), 16), dtype=float)
+        y = np.stack([0.3 + e, 1 - 0.5 * e], 1)
+        found = diagnose(y + noise * np.ptp(y, axis=0) * np.random.default_rng(1).standard_normal(y.shape), TS)
+        assert found.kind == "growth without oscillation" and found.cause == "wrong sign", str(found)
+        assert np.log(found.growth) == pytest.approx(np.log(growth), rel=0.1) and found.factor is None
     other = np.stack([loop(0.1, 1, 120), loop(-0.05, 2, 120)], 1)  # the sign of one column alone
     assert diagnose(other, TS, alpha=0.05 / TS).cause == "wrong sign"
     other = np.stack([0.34 * loop(0.03, 1, 200), 0.9 * loop(-0.01, 2, 200)], 1)
@@ -92,20 +89,16 @@ def test_growth_without_swinging_is_a_wrong_sign(growth, noise):
 
 @pytest.mark.parametrize(("degrees", "third"), [(-150, True), (-90, False), (-55, True), (52, False), (115, False)])
 def test_turned_frames_are_named_with_their_angle(degrees, third):
-    z, turn = 0.15, np.radians(degrees)
-    spiral = 0.1 * (1 - z * np.exp(1j * turn)) ** np.arange(160 if abs(degrees) < 140 else 60)
-    y = np.stack([spiral.real, spiral.imag] + [0.05 * (1 - z) ** np.arange(len(spiral))] * third, 1)
-    y += 1e-4 * np.ptp(y) * np.random.default_rng(0).standard_normal(y.shape)
-    found = diagnose(y, TS, alpha=z / TS)
-    assert found.cause == "turned frames" and found.angle == pytest.approx(degrees, abs=2), str(found)
+    """After a push; six samples of dead time turn it further, by 5 to 14°."""
+    e, noise = [0j] * 30 + [1 + 0j], 3e-3 * np.random.default_rng(1).standard_normal((331, 2)) @ [1, 1j]
+    for k in range(30, 330):
+        e.append(e[k] - 0.04 * np.exp(1j * np.radians(degrees)) * (e[k - 6] + noise[k - 6]))
+    y, other = np.array(e) + noise, loop(0.04, 6, 331)
+    known = 0.04 / TS if degrees == -90 else None  # else that may be a circular path
+    found = diagnose(np.stack([y.real, y.imag] + [other] * third, 1), TS, alpha=known)
+    assert found.cause == "turned frames" and found.angle == pytest.approx(degrees, abs=5), str(found)
     assert found.factor is None and f"{abs(found.angle):.3g}° against each other about z" in str(found)
     assert np.isnan(found.fitted).all()
-    e, noise = [0j] * 30 + [1 + 0j], 3e-3 * np.random.default_rng(1).standard_normal((331, 2)) @ [1, 1j]
-    for k in range(30, 330):  # pushed; its 6 samples of dead time turn it further, by 5 to 14°
-        e.append(e[k] - 0.04 * np.exp(1j * turn) * (e[k - 6] + noise[k - 6]))
-    y = np.array(e) + noise
-    known = 0.04 / TS if degrees == -90 else None  # else that may be a circular path
-    assert diagnose(np.stack([y.real, y.imag], 1), TS, alpha=known).angle == pytest.approx(degrees, abs=5)
 
 
 T = np.arange(600)
@@ -125,10 +118,6 @@ CALM = {
     "joints on a circle": np.tile(((1 - 0.15 * np.exp(1j)) ** np.arange(160)).view(float).reshape(-1, 2), 2),
     "a path, read as a gain of 500 times the limit": logs.drawn(np.random.default_rng(2), "path").signal,
 }
-
-
-def test_a_drift_does_not_hide_a_swing():
-    assert diagnose(0.5 * loop(0.13, 7, 425) - 1e-3 * np.arange(425), TS).cause == "dead time"
 
 
 @pytest.mark.parametrize("name", CALM)
@@ -176,6 +165,9 @@ test_what_cannot_be_diagnosed = refusals(
     (lambda: diagnose(-np.geomspace(1, 1e200, 50), TS), r"`signal` must be within ±1e\+30, but reaches 1e\+200.$"),
     (lambda: diagnose_tasks({}, TS), "`signals` must hold a task, but is empty.$"),
     (lambda: check_log(None, np.zeros(9), Ts=TS, chain="panda"), "`chain` must be a Chain"),
+    (lambda: check_log(None, np.zeros(9), Ts=TS, units=["rad", "m"]), "`units` must be rad or m of each of 1 columns"),
+    (lambda: check_log(None, np.zeros(9), Ts=TS, names="elbow"), "`names` must be a list of 1 names, but is 'elbow'"),
+    (lambda: check_log(None, np.zeros(9), Ts=TS, limits={"velocity": -1.0}), "`limits.velocity` must be at least 0"),
     (lambda: diagnose(np.zeros(50), -1.0), "`Ts` must be positive, but is -1.$"),
     (lambda: diagnose(np.zeros(50), TS, alpha=0.0), "`alpha` must be positive, but is 0.$"),
 )
@@ -202,20 +194,17 @@ def coupled(gains, N=300, d=4):
     return {"hands": e[:, :3], "feet": e[:, 3:]}
 
 
-@pytest.mark.parametrize(
-    ("gains", "hidden", "change"),
-    [
+def test_the_limit_of_one_task_binds_all(tmp_path, capsys):
+    """The task that is too fast is named, not one that swings along; units do not decide."""
+    for gains, hidden, change in (
         ((62.0, 10.0), 10.0, ("hands",)),
         ((10.0, 62.0), 62.0, ("feet",)),
         ((62.0, 10.0), 30.0, ("hands", "feet")),  # too large as well, hidden behind the first
-    ],
-)
-def test_the_limit_of_one_task_binds_all(gains, hidden, change, tmp_path, capsys):
-    """The task that is too fast is named, not one that swings along; units do not decide."""
-    signals, known = coupled(gains), {"hands": gains[0], "feet": hidden}
-    found = diagnose_tasks(signals, 0.005, alpha=known)
-    assert found.change == change and 0.04 / 0.005 < found.recommended_alpha < monotone(4) / 0.005
-    assert diagnose_tasks(signals | {"feet": np.rad2deg(signals["feet"])}, 0.005, alpha=known).change == change
+    ):
+        signals, known = coupled(gains), {"hands": gains[0], "feet": hidden}
+        found = diagnose_tasks(signals, 0.005, alpha=known)
+        assert found.change == change and 0.04 / 0.005 < found.recommended_alpha < monotone(4) / 0.005
+        assert diagnose_tasks(signals | {"feet": np.rad2deg(signals["feet"])}, 0.005, alpha=known).change == change
     assert change[0] in diagnose_tasks(signals, 0.005).change  # also where no gain is known
     both = diagnose_tasks(dict.fromkeys("ab", signals[change[0]]), 0.005, alpha={"a": 62.0, "b": 10.0}).tasks["b"]
     assert both.factor == pytest.approx(both.recommended_alpha / 10.0)  # of its own gain
