@@ -36,6 +36,12 @@ def test_defaults_begin_where_the_tip_is(robot):
         assert begins == (reference != "hold"), reference
 
 
+def test_a_target_without_an_orientation_keeps_that_of_the_start():
+    made = p.problem_from("panda", target=[0.4, 0.1, 0.5])
+    start = ck.forward(made.law.chain, made.q0).rotation
+    np.testing.assert_allclose(made.reference.curve(0.0)[1], start, atol=1e-12)
+
+
 def test_a_future_may_be_unknown():
     for future in ("known", "unknown"):
         made = p.problem_from("planar:1,1", reference="circle", radius=0.3, future=future)
