@@ -1,7 +1,8 @@
 """Every method with every inverse and way of limits, on drives in turn, against a loop written apart in NumPy.
 
 196 loops of a planar arm along a circle, from a start that is far off, next to joint limits, near enough to a
-singularity that all dampings act; with three joints under the inverses of `LARGE`, else with two.
+singularity that all dampings act; with three joints under the inverses of `LARGE`, else with two. Axes have weights,
+the feed-forward a factor, and under half of the methods measurements have noise.
 Nothing here is the package's: tableaus, exponential steps, inverses, a quadratic program by trying each face, drives by
 SciPy's exponential, fixed points by SciPy's root.
 """
@@ -22,10 +23,12 @@ from tests.stability.plant import TABLEAUX, hold
 LENGTHS, Q0, REST = {2: [1.0, 0.8], 3: [0.8, 0.6, 0.4]}, np.array([0.3, 0.7, 0.6]), np.array([0.5, 0.2, 0.9])
 LOWER, UPPER, SPEED = np.array([0.1, -1.0, -2.0]), np.array([2.0, 0.75, 2.0]), np.array([1.2, 0.9, 1.1])
 TS, N, RATE, PULL = 0.05, 6, 12.0, 1.5
-GAINS = np.array([8.0, 6.0])
+GAINS, WEIGHTS, FEEDFORWARD = np.array([8.0, 6.0]), np.array([1.0, 1.4]), 0.9
+NOISE = 0.02 * np.cos(2.0 * np.arange(N * 5)).reshape(N, 5)
 CENTRE, RADIUS, SPIN = np.array([-0.75, 1.25]), 0.25, 1.3
 
 METHODS = [m for m in ck.METHODS if not ck.METHODS[m].implicit]
+NOISY = METHODS[::2]
 IMPLICIT = ["IE", "CN", "TRAPEZOID"]
 PICARD, TURNS = [ck.picard(3)], [ck.chord(80), ck.newton(8)]  # with derivatives: each takes every other law
 SOLVERS = [*((m, PICARD) for m in (*METHODS, *IMPLICIT)), *((m, TURNS) for m in IMPLICIT)]
@@ -39,11 +42,11 @@ INVERSES = {
 LIMITS = {"none": None, "velocity_scaling": ck.velocity_scaling(), "bounded": ck.bounded(rate=RATE)}
 DRIVES = [
     None,
-    ck.Drive(lag=0.04, delay=1.4),
+    ck.Drive(lag=np.array([0.04, 0.02, 0.03]), delay=1.4, measurement_delay=1),  # of each joint
     ck.Drive(natural_frequency=25.0, damping_ratio=0.7, command="position", smoothing=0.3, smoothed="command"),
-    ck.Drive(delay=2, command="position", feedback="commanded", smoothing=0.3),
-    ck.Drive(lag=0.03, command="position", feedback="rebased", delay=0.5),
-    ck.Drive(lag=0.05, smoothing=0.4, smoothed="error"),
+    ck.Drive(delay=2, command="position", feedback="commanded", smoothing=0.3, smoothed="target"),
+    ck.Drive(lag=0.03, command="position", feedback="rebased", delay=0.5, smoothing=0.4, smoothed="error"),
+    ck.Drive(lag=0.05, measurement_delay=2, smoothing=0.4, smoothed="target"),
 ]
 EXCLUDED = ("pseudoinverse", "bounded")  # refused
 LARGE = ("pseudoinverse", "damped", "levels")  # but with Newton and its chord, whose programs are large
@@ -69,7 +72,7 @@ def target_velocity(t):
 
 
 def rows(rest, q):
-    """J of the tip, and of joints whose aims are the second level; without levels `rest` is empty."""
+    """J of the tip, and of joints whose aims are the second level; without levels `rest` is empty. Before weights."""
     return np.vstack([planar_jacobian(LENGTHS[len(q)], q), np.eye(len(q))[: len(rest)]])
 
 
@@ -78,7 +81,8 @@ def aim(rest, t):
 
 
 def aim_velocity(rest, t):
-    return np.r_[target_velocity(t), 0 * rest]
+    """What the law takes of it."""
+    return FEEDFORWARD * np.r_[target_velocity(t), 0 * rest]
 
 
 def error(rest, q, t):
@@ -100,8 +104,9 @@ def dampings(inverse, J, e):
 
 def joint_velocity(inverse, limits, rest, q, e, v, pull):
     """q̇ for a task velocity v and a pull of the null space."""
-    J, speed = rows(rest, q), SPEED[: len(q)]
-    D = dampings(inverse, J, e)
+    weights, speed = np.r_[WEIGHTS, 0 * rest + 1.0], SPEED[: len(q)]
+    J, v = weights[:, None] * rows(rest, q), weights * v
+    D = dampings(inverse, J, weights * e)
     qdot = pull + J.T @ np.linalg.solve(J @ J.T + np.diag(D), v - J @ pull)
     if limits == "velocity_scaling":
         qdot = qdot * min(1.0, (speed / np.abs(qdot)).min())
@@ -139,7 +144,7 @@ def step(method, stage, inverse, limits, rest, q, t, offset):
         z = gains * TS
         whole, half = -np.expm1(-z) / TS * e0, -np.expm1(-z / 2) / (TS / 2) * e0
         half = whole + (half - whole) / (1 + np.max(z) ** 4)
-        missed = (aim(rest, t + TS) - aim(rest, t)) / TS
+        missed = FEEDFORWARD * (aim(rest, t + TS) - aim(rest, t)) / TS
         missed = missed - sum(w * aim_velocity(rest, t + c * TS) for w, c in zip(b, times, strict=True))
         within = [(2 - 4 * c) * half + (4 * c - 1) * whole if len(b) > 2 else whole for c in times]
         pull0 = -np.expm1(-posture * TS) / TS * (home - q)
@@ -176,33 +181,40 @@ def step(method, stage, inverse, limits, rest, q, t, offset):
     return np.clip(after, low, high) if limits == "bounded" else after
 
 
+def drives_of(drive, n):
+    """The drive of n joints."""
+    return ck.replace(drive, lag=drive.lag[:n]) if drive is not None and np.ndim(drive.lag) else drive
+
+
 def loop(method, stage, inverse, limits, drive, q0=Q0):
     """Joint values (N + 1, n) of the loop, through its drives."""
-    rest = REST[: len(q0) if inverse == "levels" else 0]
-    still, path = np.zeros(2 + len(rest)), [q0]
-    if drive is None:
-        for k in range(N):
-            path.append(step(method, stage, inverse, limits, rest, path[-1], k * TS, still))
-        return np.array(path)
-    phi, now, late, whole = hold(drive, TS)
+    drive, rest = drive or ck.Drive(), REST[: len(q0) if inverse == "levels" else 0]
+    each = [hold(ck.replace(one, measurement_delay=0), TS) for one in drives_of(drive, len(q0)).joints]
     kept, positions = float(drive.kept(TS)) if drive.filters else 0.0, drive.steps_positions
-    x = np.zeros((len(phi), len(q0)))
+    whole, path, x = each[0][3], [q0], np.zeros((len(each[0][0]), len(q0)))
     x[0] = sent = q0
     mean = q0 if positions else 0 * q0
-    line, measured = [mean] * (whole + 2), still
+    line, first = [mean] * (whole + 2), error(rest, q0, 0.0)
+    late, smooth = [first * (drive.filters != "target")] * drive.measurement_delay, 0 * first
+    smooth_aim = aim(rest, 0.0) - first
     for k in range(N):
-        seen, offset = sent if drive.feedback == "commanded" else x[0], still
+        seen = sent if drive.feedback == "commanded" else x[0]
+        e = found = error(rest, seen, k * TS)
+        if drive.filters == "target":
+            smooth_aim = kept * smooth_aim + (1 - kept) * aim(rest, k * TS)
+            found = e + smooth_aim - aim(rest, k * TS)
+        late = [found, *late]
+        measured = late.pop() + NOISE[k, : len(e)] * (method in NOISY)
         if drive.filters == "error":
-            e = error(rest, seen, k * TS)
-            measured = kept * measured + (1 - kept) * e
-            offset = measured - e
-        moved = step(method, stage, inverse, limits, rest, seen, k * TS, offset) - seen
+            measured = smooth = kept * smooth + (1 - kept) * measured
+        moved = step(method, stage, inverse, limits, rest, seen, k * TS, measured - e) - seen
         sent = (seen if drive.feedback == "rebased" else sent) + moved
         command = sent if positions else moved / TS
         if drive.filters == "command":
             mean = command = kept * mean + (1 - kept) * command
         line = [command, *line]
-        x = phi @ x + np.outer(now, line[whole]) + np.outer(late, line[whole + 1])
+        pushed = zip(itertools.cycle(each), x.T, line[whole], line[whole + 1], strict=False)
+        x = np.stack([phi @ y + now * new + before * old for (phi, now, before, _), y, new, old in pushed], axis=1)
         path.append(x[0])
     return np.array(path)
 
@@ -213,14 +225,16 @@ def loop(method, stage, inverse, limits, drive, q0=Q0):
 def run(stage, inverse, limits, drive, q0, method):
     n, lower, upper, speed = len(q0), *(tuple(v[: len(q0)]) for v in (LOWER, UPPER, SPEED))
     arm = ck.replace(ck.planar_arm(LENGTHS[n]), lower=lower, upper=upper, velocity_limit=speed)
-    hand, circle = ck.position("xy"), ck.circle([*CENTRE], RADIUS, period=2 * np.pi / SPIN)
-    law = dict(inverse=INVERSES[inverse], limits=LIMITS[limits])
+    hand, circle = ck.position("xy", weights=WEIGHTS), ck.circle([*CENTRE], RADIUS, period=2 * np.pi / SPIN)
+    law = dict(inverse=INVERSES[inverse], limits=LIMITS[limits], feedforward=FEEDFORWARD)
     if inverse == "levels":
         law = ck.Law(arm, ck.stack(hand=hand, rest=ck.joints()), alpha=np.r_[GAINS, [3.0] * n], **law)
         circle = ck.references(hand=circle, rest=ck.hold(REST[:n]))
     else:
         law = ck.Law(arm, hand, alpha=GAINS, null_velocity=ck.posture(REST[:n], PULL), **law)
-    return ck.solve(law, circle, q0, TS, N, method, stage, drive=drive).q
+    noise = NOISE[:, : law.task.m] if method in NOISY else None
+    made = ck.solve(law, circle, q0, TS, N, method, stage, drive=drives_of(drive, n), noise=noise)
+    return made.q, made.e
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -234,10 +248,12 @@ def test_combinations_are_the_loop_written_apart(method, stages, dtype):
     found = together(*given)
     function, leaves = together.of(*given)
     assert not can_build() or isinstance(chosen(function, lane_avals(leaves, batched=False), batch=False), Program)
-    for row, q0, q in zip(rows, starts, found, strict=True):
-        assert q.dtype == dtype
+    for row, q0, (q, e) in zip(rows, starts, found, strict=True):
+        assert q.dtype == e.dtype == dtype
+        rest = REST[: e.shape[1] - 2]
         near = 1e-9 if dtype is np.float64 else 2e-5
         np.testing.assert_allclose(q, loop(method, *row, q0), atol=near, err_msg=str(row))
+        np.testing.assert_allclose(e, [error(rest, at, k * TS) for k, at in enumerate(q)], atol=near, err_msg=str(row))
 
 
 @pytest.mark.parametrize("inverse", INVERSES)

@@ -1,4 +1,4 @@
-"""Drives: what is sampled is exact, and a loop through them is what plain integration gives."""
+"""Drives: what is sampled is exact, and what is no drive. Loops through them are in test_combinations."""
 
 import jax
 import jax.numpy as jnp
@@ -8,8 +8,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.integrate.drive import Drive, sampled
-from tests.bank import screws
-from tests.oracles import close
+from tests.integrate.test_exponential import HOME, TURNED, WRIST
 from tests.refusals import refusals
 
 Ts = 0.02
@@ -17,7 +16,6 @@ ARM = ck.planar_arm([1.0, 0.8])
 LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0)
 Q = np.array([0.3, 1.1])
 TARGET = np.asarray(ck.forward(ARM, Q).position)[:2] + np.array([0.05, -0.04])
-SLIDER = screws([[0.0] * 3], [[1.0, 0, 0]], [0.0, 0.0, 0.0], kinds="P")
 
 
 @pytest.mark.parametrize("command", ["velocity", "position"])
@@ -25,7 +23,8 @@ def test_drives_of_any_speed_are_numbers_known_or_traced(command):
     """From 1e-9 to 1e9: an error at rest stays at rest, nothing grows, and what is far faster than Ts acts at once."""
     decades = np.array([1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9])
     w, zeta = (v.ravel() for v in np.meshgrid(decades, np.array([1e-4, 0.4, 1.0, 30.0, 1e6])))
-    several = dict(lag=decades), dict(natural_frequency=w, damping_ratio=zeta)
+    lags = decades if command == "position" else np.append(decades, 0.0)  # a joint of several may have none
+    several = dict(lag=lags), dict(natural_frequency=w, damping_ratio=zeta)
     traced = jax.jit(lambda numbers, step: sampled(Drive(command=command, **numbers), step))
     for step in (1e-4, 1.0):
         for numbers in several:
@@ -42,41 +41,6 @@ def test_drives_of_any_speed_are_numbers_known_or_traced(command):
     assert sampled(Drive(lag=1e-9, command=command), 0.01).now[..., 0] == pytest.approx(
         1.0 if command == "position" else 0.01, rel=1e-4
     )
-
-
-def test_a_late_measurement_of_a_known_path_costs_nothing():
-    """e[k+1] − e[k] is then what the path and its velocity leave, whatever the delay; to stability it is dead time."""
-    start = np.asarray(ck.forward(ARM, Q).position)[:2]
-    path = ck.line(start, start + np.array([0.1, -0.05]), duration=1.0)
-    runs = [
-        ck.solve(LAW, path, Q, Ts, 50, "EXP-MIDPOINT", drive=Drive(measurement_delay=d, delay=e))
-        for d, e in ((0, 0), (4, 0), (0, 4))
-    ]
-    worst = [float(np.abs(run.e).max()) for run in runs]
-    assert worst[1] < 3 * worst[0] + 1e-9 and worst[2] > 0.005
-    assert Drive(measurement_delay=4, delay=1.5).lumped.delay == 5.5
-    late = (Drive(measurement_delay=d, delay=4 - d) for d in (0, 3))
-    limits = [ck.gains(Ts=Ts, method="EE", drive=drive).largest_stable for drive in late]
-    assert limits[0] == limits[1]
-    for share, settles in ((0.95, True), (1.05, False)):
-        law = ck.replace(LAW, alpha=share * limits[0])
-        e = ck.solve(law, ck.hold(start + np.array([1e-7, 0])), Q, Ts, 400, "EE", drive=Drive(measurement_delay=4)).e
-        assert (np.abs(e[-20:]).max() < 1e-7) == settles
-
-
-@pytest.mark.parametrize("drive", [None, Drive(delay=1), Drive(measurement_delay=2)], ids=str)
-def test_noise_is_added_to_the_measured_error(drive):
-    """On a slider, whose loop is linear: q[k+1] = q[k] + z (1 − q + n)[k−d], and the noise is that of its own step."""
-    law, noise = ck.Law(SLIDER, ck.position("x"), alpha=10.0), np.sin(np.arange(30.0))[:, None]
-    run = ck.solve(law, ck.hold([1.0]), [0.0], Ts, 30, "EE", drive=drive, noise=noise)
-    command, measured = (0, 0) if drive is None else (int(drive.delay), drive.measurement_delay)
-    q = [0.0]
-    for k in range(30):
-        sent = k - command
-        q.append(q[k] + 0.2 * (1.0 - q[max(sent - measured, 0)] + noise[sent, 0]) * (sent >= 0))
-    close(run.q[:, 0], q, atol=1e-12)
-    close(run.e[:, 0], 1.0 - np.array(q), atol=1e-12)  # the true one
-    assert not np.any(run.status & ck.Status.GROWING)
 
 
 def with_drive(drive):
@@ -126,16 +90,25 @@ def test_exponentials_of_drives():
             np.testing.assert_allclose(sampled(drive, 1.0).phi, exact, atol=2e-14)
 
 
-@pytest.mark.parametrize(("lag", "near"), [(0.02, 1e-13), (0.0, 1e-5)])
-def test_each_joint_goes_through_its_own_drive(lag, near):
-    """Two sliders with lags of their own, or of which one has none, move as each alone does."""
-    alone = [
-        ck.solve(ck.Law(SLIDER, ck.position("x"), alpha=5.0), ck.hold([1.0]), [0.0], Ts, 25, "EE", drive=drive).q[:, 0]
-        for drive in (Drive(lag=lag, delay=1.4), Drive(lag=0.05, delay=1.4))
-    ]
-    both = screws([[0.0] * 3] * 2, np.eye(3)[:2], [0.0] * 3, kinds="PP")
-    drive = Drive(lag=[lag, 0.05], delay=1.4)
+def test_a_filtered_target_turns():
+    """By a share of the angle that is left in each sample."""
+    drive, c, s = ck.Drive(smoothing=0.8, smoothed="target"), np.cos(0.5), np.sin(0.5)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ HOME
     run = ck.solve(
-        ck.Law(both, ck.position("xy"), alpha=5.0), ck.hold([1.0, 1.0]), [0.0, 0.0], Ts, 25, "EE", drive=drive
+        ck.Law(WRIST, ck.orientation(), alpha=1000.0), ck.hold(None, turn), TURNED, Ts, 40, "EXP-RK4", drive=drive
     )
-    close(run.q, np.stack(alone, axis=1), atol=near)
+    size = np.linalg.norm(np.asarray(run.e), axis=1)
+    np.testing.assert_allclose(size[1:], 0.5 * 0.8 ** np.arange(1, 41), atol=2e-4)
+
+
+def test_a_filter_is_differentiable_and_a_cut_off_is_a_share():
+    law = ck.replace(LAW, alpha=10.0)
+
+    def end(**filters):
+        return ck.solve(law, ck.hold(TARGET), Q, 0.01, 20, "EE", drive=ck.Drive(delay=1, **filters)).e[-1, 0]
+
+    each = jax.jit(jax.vmap(ck.native(jax.value_and_grad(lambda kept: end(smoothing=kept)))))
+    values, slopes = each(np.array([0.5, 0.5 + 1e-6, 0.5 - 1e-6, np.exp(-2 * np.pi * 10.0 * 0.01), 0.0]))
+    assert slopes[0] == pytest.approx(float(values[1] - values[2]) / 2e-6, rel=1e-6)
+    assert end(cutoff=10.0) == pytest.approx(float(values[3]), rel=1e-12)
+    assert values[4] == end()

@@ -131,6 +131,9 @@ def test_growing_from_the_limit_of_stability_on(dtype):
         for feedforward in (0.0, 1.0):
             np.testing.assert_array_equal(status(z, WAVE, feedforward=feedforward), S.OK)
     assert np.mean((status(5.0, WAVE)[:20] & S.GROWING) != 0) > 0.8
+    noise = np.sin(np.arange(60.0))[:, None]  # by which an error grows and shrinks
+    shaken = ck.solve(ck.replace(law, alpha=8.0), HOLD_ONE, np.zeros(1, dtype), 0.125, 60, "EE", noise=noise)
+    np.testing.assert_array_equal(shaken.status, S.OK)
 
 
 def test_a_task_of_more_rows_than_joints():
