@@ -8,7 +8,7 @@ import pytest
 import cnclik as ck
 from cnclik.law.feedback import per_step
 from tests.bank import told
-from tests.oracles import close, damped_inverse, planar_jacobian, planar_law, planar_position
+from tests.oracles import close, damped_inverse, planar_jacobian, planar_position
 from tests.refusals import refusals
 
 LENGTHS = np.array([0.7, 1.1, 0.4])
@@ -22,40 +22,13 @@ def qdot(law, q=Q, reference=REFERENCE):
     return ck.step(law, reference, q, 0.0, 0.1, "EE").qdot
 
 
-def oracle(alpha=5.0, q=Q, velocity=VELOCITY, **kwargs):
-    return planar_law(LENGTHS, lambda t: TARGET, lambda t: velocity, alpha, **kwargs)(q, 0.0)
-
-
-def test_feedforward_factor():
-    for factor in (1, 0.0, 0.5):
-        law = ck.Law(ARM, ck.position("xy"), alpha=5.0, feedforward=factor)
-        close(qdot(law), oracle(velocity=factor * VELOCITY), atol=1e-13)
-
-
-def test_weights():
-    """Weights scale rows and errors: they matter where not everything can be had."""
+def test_the_law_is_numpys():
+    """Weights scale rows and errors, a factor the feed-forward: for the CI's other settings; see test_combinations."""
     w = np.array([1.0, 3.0])
     weighted = ck.position("xy", weights=w)
-    j = np.diag(w) @ planar_jacobian(LENGTHS, Q)
-    v = w * (VELOCITY + 5 * (TARGET - planar_position(LENGTHS, Q)))
-    law = ck.Law(ARM, weighted, alpha=5.0, inverse=ck.damped(0.3))
-    close(qdot(law), damped_inverse(0.3)(j) @ v, atol=1e-13)
-    close(qdot(ck.Law(ARM, weighted, alpha=5.0)), oracle(), atol=1e-13)  # full rank: no effect
-    # One joint, two coordinates: weighted least squares.
-    one = ck.Law(ck.planar_arm([0.7]), weighted, alpha=5.0, inverse=ck.damped(0.3))
-    q = np.array([0.4])
-    j = np.diag(w) @ planar_jacobian(LENGTHS[:1], q)
-    v = VELOCITY + 5 * (TARGET - planar_position(LENGTHS[:1], q))
-    close(qdot(one, q), damped_inverse(0.3)(j) @ (w * v), atol=1e-13)
-
-
-def test_single_precision_loop_in_a_double_precision_session():
-    """The loop runs in the dtype of q, whatever the dtypes of gains, targets and times."""
-    law = ck.Law(
-        ARM, ck.position("xy"), alpha=np.float64(5), inverse=ck.damped(0.1), null_velocity=ck.posture(np.ones(3))
-    )
-    made = ck.step(law, ck.path(lambda t: (0.5, np.float64(1.2) + t)), Q.astype(np.float32), 0, 1, "CN")
-    assert {v.dtype for v in (made.q, made.e, made.qdot, made.residual)} == {jnp.dtype(jnp.float32)}
+    law = ck.Law(ARM, weighted, alpha=5.0, inverse=ck.damped(0.3), feedforward=0.5)
+    j, v = np.diag(w) @ planar_jacobian(LENGTHS, Q), 0.5 * VELOCITY + 5.0 * (TARGET - planar_position(LENGTHS, Q))
+    close(qdot(law), damped_inverse(0.3)(j) @ (w * v), atol=1e-13)
 
 
 test_bad_input = refusals(
