@@ -16,13 +16,7 @@ LAW = ck.Law(ARM, ck.position("xy"), alpha=4.0)
 SLIDERS = screws([[0.0] * 3] * 2, [[1.0, 0, 0], [0, 1.0, 0]], [0.0, 0.0, 0.0], kinds="PP")
 
 
-def on_path(period=4.0):
-    """A circle that starts where START is."""
-    x = np.asarray(ck.forward(ARM, START).position)[:2]
-    return ck.circle(x - [0.2, 0.0], 0.2, period=period)
-
-
-CIRCLE = on_path()
+CIRCLE = ck.circle(np.asarray(ck.forward(ARM, START).position)[:2] - [0.2, 0.0], 0.2, period=4.0)  # from START
 
 
 def by_steps(law, reference, q, Ts, N, method):

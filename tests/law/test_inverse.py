@@ -113,15 +113,6 @@ def test_derivatives_are_finite_at_singularities_and_right_near_them():
         close(np.moveaxis(np.reshape(forward[k], (2, 3, 6)), -1, 0), (ahead - behind) / 2e-6, atol=1e-5)
 
 
-def test_damping_is_a_leaf_and_lambda_and_not_its_square():
-    """Another damping needs no new program, and can be differentiated."""
-    assert len(jax.tree.leaves(ck.damped(0.1))) == len(jax.tree.leaves(ck.damped(jnp.asarray(0.1)))) == 1
-    value = lambda d: apply(ck.damped(d), jnp.array([[2.0]]), jnp.array([1.0]))[0][0]  # noqa: E731
-    made, slope = jax.jit(jax.value_and_grad(value))(0.5)
-    assert made == pytest.approx(2 / (4 + 0.25), rel=1e-15)
-    assert slope == pytest.approx(-2 * 2 * 0.5 / 4.25**2, rel=1e-14)
-
-
 @pytest.mark.parametrize("dtype", [np.float64, np.float32], ids=["double", "single"])
 def test_damping_below_rounding_is_no_division_by_zero(dtype):
     """As small as it may be, with J of any rank and joints that a limit has taken out: finite, and near J#."""
