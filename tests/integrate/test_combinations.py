@@ -1,8 +1,8 @@
 """Every method with every inverse and way of limits, on drives in turn, against a loop written apart in NumPy.
 
-196 loops of a planar arm along a circle, from a start that is far off, next to joint limits, near enough to a
+182 loops of a planar arm along a circle, from a start that is far off, next to joint limits, near enough to a
 singularity that all dampings act; with three joints under the inverses of `LARGE`, else with two. Axes have weights,
-the feed-forward a factor, and under half of the methods measurements have noise.
+the feed-forward a factor, and measurements noise under the methods of `NOISY`.
 Nothing here is the package's: tableaus, exponential steps, inverses, a quadratic program by trying each face, drives by
 SciPy's exponential, fixed points by SciPy's root.
 """
@@ -28,10 +28,11 @@ NOISE = 0.02 * np.cos(2.0 * np.arange(N * 5)).reshape(N, 5)
 CENTRE, RADIUS, SPIN = np.array([-0.75, 1.25]), 0.25, 1.3
 
 METHODS = [m for m in ck.METHODS if not ck.METHODS[m].implicit]
-NOISY = METHODS[::2]
+NOISY = ["EE", "EXP-EE"]
 IMPLICIT = ["IE", "CN", "TRAPEZOID"]
 PICARD, TURNS = [ck.picard(3)], [ck.chord(80), ck.newton(8)]  # with derivatives: each takes every other law
-SOLVERS = [*((m, PICARD) for m in (*METHODS, *IMPLICIT)), *((m, TURNS) for m in IMPLICIT)]
+# Of CN the implicit stage is that of IE, behind an explicit one as of TRAPEZOID.
+SOLVERS = [*((m, PICARD) for m in (*METHODS, *IMPLICIT)), ("IE", TURNS), ("TRAPEZOID", TURNS)]
 INVERSES = {
     "pseudoinverse": ck.pseudoinverse(),
     "damped": ck.damped(0.2),
@@ -267,4 +268,4 @@ def test_every_pair_of_values_occurs():
     for i, j in itertools.combinations((2, 3, 4, 5, 6), 2):
         values = [{str(row[k]) for row in TABLE} for k in (i, j)]
         assert {(str(row[i]), str(row[j])) for row in TABLE} == set(itertools.product(*values)) - {EXCLUDED}, (i, j)
-    assert len(TABLE) == len(SOLVERS) * (len(INVERSES) * len(LIMITS) - 1) == 196
+    assert len(TABLE) == len(SOLVERS) * (len(INVERSES) * len(LIMITS) - 1) == 182
