@@ -51,9 +51,7 @@ def screw(t):
 
 
 REFERENCES = {
-    "hold": (ck.hold([1, 2, 3]), "xyz"),
     "hold-pose": (ck.hold([1.0, 2, 3], R0.as_matrix()), "pose"),
-    "line": (ck.line([0.0, 1, 2], [3.0, -1, 0], duration=4.0), "xyz"),
     "line-turning": (
         ck.line([0.0, 1, 2], [3.0, -1, 0], duration=4.0, rotation=R0.as_matrix(), rotation_end=R1.as_matrix()),
         "pose",
@@ -61,7 +59,6 @@ REFERENCES = {
     "circle": (ck.circle([1.0, 2.0], 0.5, period=3.0, phase=0.3), "xy"),
     "circle-3d": (ck.circle([1.0, 2.0, 0], 0.5, period=-3.0, normal=[1.0, 2, -1]), "xyz"),
     "lissajous": (ck.lissajous([1, 2], [0.5, 0.25], period=3, phase=[0.1, 0]), "xy"),
-    "waypoints": (ck.waypoints(TIMES, POINTS), "xyz"),
     "waypoints-pose": (ck.waypoints(TIMES, POINTS, Rotation.random(5, rng=9).as_matrix()), "pose"),
     "path": (ck.path(lambda t: (jnp.cos(t), 1.0, t**2)), "xyz"),
     "path-pose": (ck.path(screw), "pose"),
