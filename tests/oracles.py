@@ -107,16 +107,14 @@ def dh_product(a, alpha, d, theta, kinds, q, convention, base=None, tool=None):
     return out if tool is None else out @ tool
 
 
-def planar_law(lengths, target, velocity, alpha, sense=1.0, inverse=np.linalg.pinv, null=None):
-    """f(q, t) of a planar arm: J#(ẋ_d + K e) + (I − J#J) q̇₀. `target` and `velocity` are functions of t."""
+def planar_law(lengths, target, velocity, alpha, sense=1.0, inverse=np.linalg.pinv):
+    """f(q, t) of a planar arm: J#(ẋ_d + K e). `target` and `velocity` are functions of t."""
     lengths = np.asarray(lengths, float)
     gains = np.broadcast_to(alpha, 2)
 
     def f(q, t):
         e = np.asarray(target(t)) - planar_position(lengths, q, sense)
-        j = planar_jacobian(lengths, q, sense)
-        out = inverse(j) @ (np.asarray(velocity(t)) + gains * e)
-        return out if null is None else out + null - inverse(j) @ (j @ null)
+        return inverse(planar_jacobian(lengths, q, sense)) @ (np.asarray(velocity(t)) + gains * e)
 
     return f
 
