@@ -31,8 +31,7 @@ METHODS = [m for m in ck.METHODS if not ck.METHODS[m].implicit]
 NOISY = ["EE", "EXP-EE"]
 IMPLICIT = ["IE", "CN", "TRAPEZOID"]
 PICARD, TURNS = [ck.picard(3)], [ck.chord(80), ck.newton(8)]  # with derivatives: each takes every other law
-# Of CN the implicit stage is that of IE, behind an explicit one as of TRAPEZOID.
-SOLVERS = [*((m, PICARD) for m in (*METHODS, *IMPLICIT)), ("IE", TURNS), ("TRAPEZOID", TURNS)]
+SOLVERS = [*((m, PICARD) for m in (*METHODS, *IMPLICIT)), ("CN", TURNS), ("TRAPEZOID", TURNS)]  # CN has the stage of IE
 INVERSES = {
     "pseudoinverse": ck.pseudoinverse(),
     "damped": ck.damped(0.2),
