@@ -19,7 +19,7 @@ from cnclik import errors
 from cnclik.cache import LRU, bounded_jit
 from cnclik.engine.graph import SlowError, UnsupportedError
 from cnclik.engine.plan import chosen
-from cnclik.engine.program import Program, key_of
+from cnclik.engine.program import Program, canonical, key_of
 from cnclik.engine.reader import Trace, part, trace
 from cnclik.engine.to_jax import Derived
 from cnclik.engine.tracing import engine, is_read
@@ -71,6 +71,12 @@ def of_leaves(fn, treedef):
     return flat
 
 
+def narrowed(leaves) -> list:
+    """Return values as arrays of the types that JAX has: what was made in 64 bits may be used where it has 32."""
+    arrays = map(jnp.asarray, leaves)
+    return [x if x.dtype == canonical(x.dtype) else x.astype(canonical(x.dtype)) for x in arrays]
+
+
 class Function:
     """A function of flat arrays with its forms and the functions of its derivatives.
 
@@ -84,7 +90,7 @@ class Function:
 
     def __call__(self, *leaves):
         """Return the tree of its results, as part of a JAX program or by one of its own."""
-        leaves = [jnp.asarray(x) for x in leaves]
+        leaves = narrowed(leaves)
         if is_read():  # as a part of what calls it
             return self.fn(*leaves)
         traced = self.trace([jax.typeof(x) for x in leaves])
@@ -240,7 +246,7 @@ def _now(*args, function, batched):
 @functools.partial(bounded_jit, static_argnames=("function", "batched"))
 def compiled(*args, function, batched):
     """Its results, by a program of its own."""
-    return native_p.bind(*args, function=function, batched=batched)
+    return native_p.bind(*narrowed(args), function=function, batched=batched)
 
 
 def _batch(args, dims, *, function, batched):

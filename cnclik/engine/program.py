@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import functools
 import math
 import pathlib
 import tempfile
@@ -125,7 +126,10 @@ def key_of(avals) -> tuple:
     return jax.config.jax_enable_x64, *types  # type: ignore[attr-defined]
 
 
+canonical = functools.partial(jax.dtypes.canonicalize_dtype, allow_extended_dtype=True)  # in 32 bits what has 64
+
+
 def lane_avals(leaves, *, batched=True) -> list:
-    """Return the avals of one lane's arguments."""
+    """Return the avals of one lane's arguments, as JAX takes them."""
     avals = map(jax.typeof, leaves)
-    return [jax.ShapeDtypeStruct(a.shape[batched:], a.dtype, weak_type=a.weak_type) for a in avals]
+    return [jax.ShapeDtypeStruct(a.shape[batched:], canonical(a.dtype), weak_type=a.weak_type) for a in avals]

@@ -128,6 +128,21 @@ def test_a_key_of_random_numbers_may_be_an_argument_and_a_result():
     assert jnp.all(found == jax.random.split(key)) and two == 2.0
 
 
+def test_what_was_made_in_64_bits_may_be_used_in_32():
+    """A path and joint values that hold arrays of JAX in float64; C read them as numbers of the other size."""
+    path, law = ck.waypoints([0.0, 1.0], [[1.2, 0.9], [1.1, 0.8]]), bank.law("planar2")
+
+    def end(q0):
+        return ck.solve(law, path, q0, 0.01, 4, "EE").e[-1]
+
+    q0 = jnp.array([0.3, 0.7])
+    wanted = end(q0)
+    with jax.enable_x64(False):
+        for found in (end(np.asarray(q0)), end(q0), jax.jit(end)(q0), jax.vmap(end)(q0[None])[0]):
+            assert found.dtype == np.float32
+            np.testing.assert_allclose(found, wanted, atol=1e-6)
+
+
 def test_empty_arrays():
     def of(x):
         sums = x.sum(), x.sum(0), x.prod(), jnp.cumsum(x, 0), x @ x, jnp.any(x > 1), jnp.all(x > 1)
