@@ -274,7 +274,7 @@ def _batch(args, dims, *, function, batched):
 def _jvp(primals, tangents, *, function, batched):
     made = native_p.bind(*primals, function=function, batched=batched)
     tangents = [jnp.asarray(t) if isinstance(t, float) else t for t in tangents]  # as given to `jax.jvp`
-    by = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and t.dtype != jax.dtypes.float0)
+    by = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero))
     real = tuple(jnp.issubdtype(x.dtype, jnp.inexact) for x in made)
     nothing = [ad.Zero(jax.typeof(x).to_tangent_aval()) for x in made]
     if not by or not any(real):
