@@ -22,7 +22,7 @@ def lint(session):
     session.install("-e", ".[test]", "--group", "lint")
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
-    session.run("python", "tests/lint.py")
+    session.run("python", ".ci/lint.py")
     session.run("mypy")
 
 

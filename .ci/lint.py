@@ -1,7 +1,7 @@
-"""`python tests/lint.py`: what ruff and mypy don't know of this house. pre-commit and `.ci/run` call it, without JAX.
+"""`python .ci/lint.py`: what ruff and mypy don't know of this house. pre-commit and `.ci/run` call it, without JAX.
 
-Imports run one way and are of no private name; pages, docstrings and messages are short sentences. Exit code 1 with a
-line for each fault.
+Imports run one way and are of no private name; pages, docstrings and messages are short sentences, and no link is dead.
+Exit code 1 with a line for each fault.
 """
 
 import ast
@@ -134,6 +134,35 @@ def pages():
         yield from ((path, 1, fault) for fault in faults(text(path)))
 
 
+def prose(path) -> str:
+    """A page without what is fenced or in backticks."""
+    page = re.sub(r"^```.*?^```", "", text(path), flags=re.M | re.S)
+    return re.sub(r"`[^`\n]*`", "", page)
+
+
+def anchors(path) -> set:
+    """The names that GitHub gives to a page's headings."""
+    page = re.sub(r"^```.*?^```", "", text(path), flags=re.M | re.S)
+    found, seen = set(), {}
+    for title in re.findall(r"^#{1,6} (.+)$", page, re.M):
+        name = re.sub(r"[^\w\- ]", "", re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", title).lower()).strip().replace(" ", "-")
+        seen[name] = seen.get(name, -1) + 1
+        found.add(f"{name}-{seen[name]}" if seen[name] else name)
+    return found
+
+
+def links():
+    """To files that are there, and to headings that they have."""
+    for page in written():
+        for address in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+            if re.match(r"[a-z]+:", address):
+                continue
+            where, _, place = address.partition("#")
+            to = (page.parent / where).resolve() if where else page
+            if not to.exists() or (place and to.suffix == ".md" and place not in anchors(to)):
+                yield page, 1, f"links to {address}, which is not there"
+
+
 def strings():
     """Docstrings, help texts and messages of the package; a name in an f-string stands for one word."""
     for path in files():
@@ -148,7 +177,7 @@ def strings():
             yield from ((path, node.lineno, fault) for fault in faults(value) if not listed)
 
 
-CHECKS = (order, circles, private, pages, strings)
+CHECKS = (order, circles, private, pages, links, strings)
 
 
 def main():
