@@ -263,7 +263,7 @@ def _held(a, b, h, xp):
 
 def _exponential(a):
     """Return exp(A) of (..., s, s) in NumPy: exp(A/2ᵏ) − 1 as a series, squared k times; SciPy's waits for threads."""
-    size = np.abs(a).sum(-1).max(initial=0.0)
+    size = np.abs(a).sum(-1).max()
     doublings = max(math.frexp(size)[1] + 1, 0)  # scales the norm to at most 1/2
     a, less = a / 2.0**doublings, np.zeros_like(a)
     for k in range(TERMS, 0, -1):
