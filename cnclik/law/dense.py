@@ -8,6 +8,8 @@ import numpy as np
 from jax import lax
 from jax.scipy.linalg import solve_triangular
 
+from cnclik.engine.tracing import is_read
+
 
 def shifted(matrix, shift):
     """Return A + shift·I, or A + diag(shift); zeros off the diagonal stay literal zeros."""
@@ -64,24 +66,22 @@ def cholesky(matrix):
 @cholesky.defjvp
 def _cholesky_jvp(primals, tangents):
     """Return L and L Φ(L⁻¹ dA L⁻ᵀ), Φ the lower triangle with half the diagonal (Murray 2016)."""
-    lower, (tangent,) = cholesky(*primals), tangents
+    lower, (tangent,) = (_whole if is_read() else _eliminated)(*primals), tangents  # `_factored` has no second gradient
     inner = triangular(lower, triangular(lower, 0.5 * (tangent + tangent.T)).T)
     half = np.tri(len(lower)) - 0.5 * np.eye(len(lower))
     return lower, lower @ (half.astype(lower.dtype) * inner)
 
 
-@jax.custom_batching.custom_vmap
-def _factored(matrix):
-    return jnp.linalg.cholesky(matrix, symmetrize_input=False)
+_whole = functools.partial(jnp.linalg.cholesky, symmetrize_input=False)
+_factored = jax.custom_batching.custom_vmap(_whole)
 
 
 @_factored.def_vmap
-def _factored_batch(_, batched, matrices):  # by second derivatives also without a batch
-    return (_eliminated(matrices) if batched[0] else _eliminated(matrices[None])[0]), batched[0]
+def _factored_batch(_, __, matrices):
+    return jax.vmap(_eliminated)(matrices), True
 
 
 @jax.jit  # traced once, though a law has several
-@jax.vmap
 def _eliminated(matrix):
     every = np.arange(len(matrix))
 

@@ -132,9 +132,10 @@ def test_large_results_and_tiles(monkeypatch):
 
 
 def test_second_derivatives_of_a_loop():
-    """Forward over reverse: an IndexError of a factor without a batch, whose tangents have one."""
+    """Forward over reverse, where tangents of a factor have a batch, and reverse over reverse, which a scan forgets."""
     slope = jax.grad(lambda q: jnp.sum(ck.solve(LAW, ck.hold([1.0, 0.5]), q, 0.1, 2, "EE").e[-1] ** 2))
     q, h = np.array([0.4, 1.2]), 1e-5 * np.eye(2)
     found = ck.lanes(jax.jacfwd(slope))(q[None])[0]
     up, down = np.split(np.asarray(ck.lanes(slope)(np.concatenate([q + h, q - h]))), 2)
     np.testing.assert_allclose(found, (up - down) / 2e-5, rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(jax.jacrev(slope)(q), found, rtol=1e-12, atol=1e-12)
