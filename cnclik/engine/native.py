@@ -14,12 +14,13 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir, partial_eval
+from jax.sharding import NamedSharding, PartitionSpec
 
 from cnclik import errors
 from cnclik.cache import LRU, bounded_jit
 from cnclik.engine.graph import SlowError, UnsupportedError
 from cnclik.engine.plan import chosen
-from cnclik.engine.program import Program, canonical, key_of
+from cnclik.engine.program import Program, canonical, key_of, lane_avals
 from cnclik.engine.reader import Trace, part, trace
 from cnclik.engine.to_jax import Derived
 from cnclik.engine.tracing import engine, is_read
@@ -77,6 +78,14 @@ def narrowed(leaves) -> list:
     return [x if x.dtype == canonical(x.dtype) else x.astype(canonical(x.dtype)) for x in arrays]
 
 
+def alike(leaves) -> list:
+    """Return values that vary over the same devices of a `jax.shard_map`: a derivative by what all share is a sum."""
+    kinds = list(map(jax.typeof, leaves))
+    axes = [frozenset(a.vma if hasattr(a, "vma") else a.manual_axis_type.varying) for a in kinds]
+    every = frozenset().union(*axes)
+    return [jax.lax.pcast(x, tuple(every - own), to="varying") for x, own in zip(leaves, axes, strict=True)]
+
+
 class Function:
     """A function of flat arrays with its forms and the functions of its derivatives.
 
@@ -93,10 +102,10 @@ class Function:
         leaves = narrowed(leaves)
         if is_read():  # as a part of what calls it
             return self.fn(*leaves)
-        traced = self.trace([jax.typeof(x) for x in leaves])
+        traced = self.trace(lane_avals(leaves, batched=False))
         if traced.stays:
             return self.fn(*leaves)
-        return traced.tree.unflatten(native_p.bind(*leaves, function=self, batched=(False,) * len(leaves)))
+        return traced.tree.unflatten(native_p.bind(*alike(leaves), function=self, batched=(False,) * len(leaves)))
 
     def flat(self, *leaves) -> list:
         """Return its results, leaf by leaf."""
@@ -204,7 +213,9 @@ def _lanes(avals, batched):
 def _abstract(*avals, function, batched):
     lane, size = _lanes(avals, batched)
     shape = () if size is None else (size,)
-    return [jax.core.ShapedArray((*shape, *o.shape), o.dtype) for o in function.shapes(lane)]
+    like = avals[0] if avals else jax.core.ShapedArray((), bool)  # it varies over the same devices
+    new = {"weak_type": False, "sharding": NamedSharding(like.sharding.mesh, PartitionSpec())}
+    return [like.update(shape=(*shape, *o.shape), dtype=o.dtype, **new) for o in function.shapes(lane)]
 
 
 def _lowered(ctx, *args, function, batched, platform):
@@ -217,6 +228,7 @@ def _lowered(ctx, *args, function, batched, platform):
         fn = functools.partial(_called, form, size)
     elif batch:
         fn = jax.vmap(fn, [0 if b else None for b in batched])
+    ctx = ctx.replace(avals_in=[jax.core.ShapedArray(a.shape, a.dtype, a.weak_type) for a in ctx.avals_in])
     with engine("plain" if isinstance(form, SlowError) else engine.value):
         return mlir.lower_fun(fn, multiple_results=True)(ctx, *args)
 

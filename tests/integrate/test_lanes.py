@@ -95,7 +95,7 @@ test_batches_that_do_not_fit = refusals(
 
 
 def test_several_devices():
-    """Blocks go round all devices, and come back in order; in a process of its own, told to have three."""
+    """Blocks go round all devices, in order; slopes by what all share are sums; in a process told to have three."""
     code = """
 import jax, numpy as np, cnclik as ck
 from cnclik.integrate import lanes
@@ -109,6 +109,10 @@ jax.device_put = lambda part, device: seen.add(device.id) or before(part, device
 with use_engine('xla'):
     found = ck.lanes(tell)(x)
 assert np.array_equal(found, 2 * x) and seen == {0, 1, 2}, seen
+jax.device_put, P = before, jax.sharding.PartitionSpec
+twice = ck.native(lambda a, x: jax.lax.fori_loop(0, 2, lambda _, s: s + a * x.sum(), 0.0))
+mesh, total = jax.sharding.Mesh(jax.devices(), "i"), lambda a, x: jax.lax.psum(twice(a, x), "i")
+assert jax.jit(jax.grad(jax.shard_map(total, mesh=mesh, in_specs=(P(), P("i")), out_specs=P())))(3.0, x[:6]) == 30
 """
     environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=3", "JAX_PLATFORMS": "cpu"}
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
