@@ -53,6 +53,7 @@ def run(
         raise errors.fail("json", "be left out with --draw", "is given")
     if out is not None and not draw:
         raise errors.fail("out", "come with --draw", "comes without")
+    errors.number("speed", speed, at_least=0)
     out = "stability-out" if out is None else out
     made = None if robot is None else problem(robot, loop)
     given = in_own_units(loop) if made is None else in_own_units(loop, made.Ts)
