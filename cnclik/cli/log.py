@@ -81,7 +81,7 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     """
     import numpy as np
 
-    from cnclik.diagnosis.recording import LARGEST, spacing
+    from cnclik.diagnosis.recording import LARGEST, sampling_time, spacing
     from cnclik.problem.tables import read_columns
 
     names, table = read_columns("LOG", log)
@@ -90,7 +90,7 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     sizes = [math.prod(SIZES.get(word, 1.0) for word in words_of(name)) for name in names]
     table *= sizes
     if Ts is not None:
-        errors.number("Ts", Ts, positive=True)
+        sampling_time(None, Ts)
     with np.errstate(all="ignore"):
         t, times, unit = clock(names, table, Ts)
     if t is not None and (rows := np.flatnonzero(np.abs(t) > LARGEST)).size:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis.recording import columns, missing, spacing, unwrapped
+from cnclik.diagnosis.recording import columns, missing, sampling_time, spacing, unwrapped
 from cnclik.quantities import plainly
 from cnclik.record import ArrayLike, Float, record
 
@@ -126,9 +126,9 @@ def check_log(
     elif isinstance(names, str) or not isinstance(names, Sequence) or len(names) != k + sent.shape[1]:
         raise errors.fail("names", f"be a list of {k + sent.shape[1]} names", f"is {names!r}")
     if t is None:
-        t = float(errors.number("Ts", Ts, positive=True)) * np.arange(len(q))
+        t = sampling_time(None, Ts) * np.arange(len(q))
     t = np.asarray(errors.array("t", t, (len(q),)), float)
-    Ts = spacing(t) if Ts is None else float(errors.number("Ts", Ts, positive=True))
+    Ts = spacing(t) if Ts is None else sampling_time(None, Ts)
     errors.number("resolution", resolution, at_least=0)
     units = (["rad"] * k if chain is None else list(chain.units)) if units is None else list(units)
     if len(units) != k or not {*units} <= {"rad", "m"}:

@@ -6,7 +6,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.diagnosis import loop
-from cnclik.diagnosis.recording import columns, unwrapped
+from cnclik.diagnosis.recording import columns, sampling_time, unwrapped
 from cnclik.integrate.drive import Drive, drive_in_words
 from cnclik.quantities import in_samples
 from cnclik.record import ArrayLike, Float, record, replace
@@ -88,7 +88,7 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
       Ts: sampling time [s]. alpha: gain of the loop [1/s], if known.
     Raises: ArgumentError for fewer than 16 rows, or values that are not finite, or beyond 1e30.
     """
-    Ts = float(errors.number("Ts", Ts, positive=True))
+    Ts = sampling_time(None, Ts)
     alpha = None if alpha is None else float(errors.number("alpha", alpha, positive=True))
     raw = columns("signal", signal, "diagnose")
     y = np.where(np.abs(raw).max(0) < 1.0001 * np.pi, unwrapped(raw)[0], raw)

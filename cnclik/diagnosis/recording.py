@@ -26,7 +26,8 @@ def columns(name, values, door, *, least=16, like=None):
 def sampling_time(t, Ts, N=None) -> float:
     """Return Ts [s] as given, or from times (N,) that jitter. Raises: ArgumentError if rows are missing."""
     if Ts is not None or t is None:
-        return float(errors.number("Ts", Ts, positive=True))
+        Ts = errors.number("Ts", Ts, positive=True)
+        return float(errors.array("Ts", Ts, (), at_least=1 / LARGEST, most=LARGEST))
     t = np.asarray(errors.array("t", t, (N,), most=LARGEST), float)
     usual, step = spacing(t), np.diff(t)
     if (late := step * missing(t, usual)).any():

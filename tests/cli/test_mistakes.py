@@ -74,6 +74,7 @@ MISTAKES = [
     ("diagnose stack.csv --columns b.x a.x", "must hold a finite number in every row of its columns, but"),
     ("diagnose back.csv", "Argument `stamp` must increase, but the median step is -0.1 s."),
     ("check back.csv", "Argument `stamp` must increase, but the median step is -0.1 s."),
+    ("check log.csv --Ts 1e308", "Option `--Ts` must be within ±1e+30, but reaches 1e+308."),
     ("diagnose bare.csv", "Option `--Ts` must be given where no column is called t, time or stamp"),
     ("diagnose two.urdf", "Argument `LOG` must hold numbers, but two.urdf holds none."),
     ("check log.csv --limits pandda", "must be one of panda, fr3, FILE.csv, but", "(did you mean 'panda'?)."),
