@@ -70,13 +70,15 @@ def parse(verb, argv, *, prog, description) -> dict:
     flags = named | {f"--no-{flag[2:]}": one for flag, one in named.items() if one.kind == SWITCH}
     made: dict = {}
     words: dict = {}  # {option: its words}
-    free = list(places)
+    free, last = list(places), None  # last: the option whose words end here
     while queue:
         token = queue.pop(0)
         if not _is_option(token):
+            if not free and last:
+                raise errors.fail(last.name, f"be {last.values}", f"is {' '.join([*words[last], token])!r}")
             if not free:
                 raise errors.ArgumentError(f"{token!r} is one too many; `{prog} --help` lists the options.")
-            made[free.pop(0).name] = token
+            made[free.pop(0).name], last = token, None
             continue
         typed, equals, value = token.partition("=")
         if (one := flags.get(typed)) is None or (equals and one.kind == SWITCH):
@@ -84,7 +86,7 @@ def parse(verb, argv, *, prog, description) -> dict:
             instead = f"did you mean --{near[1]}?" if near else f"`{prog} --help` lists the options."
             raise errors.ArgumentError(f"Unknown option {token if one else typed}; {instead}")
         if one.kind == SWITCH:
-            made[one.name] = typed in named
+            made[one.name], last = typed in named, None
             continue
         several = [value] if equals else _words(one, queue)
         del queue[: 0 if equals else len(several)]
@@ -92,7 +94,7 @@ def parse(verb, argv, *, prog, description) -> dict:
             raise errors.fail(one.name, f"be given {one.values}", "has no value")
         if one in words and not (one.several and one.kind == NAME):
             raise errors.fail(one.name, "be given once", "is given twice")
-        words[one] = [*words.get(one, []), *several]
+        words[one], last = [*words.get(one, []), *several], one
     made |= {one.name: _value(one, some) for one, some in words.items()}
     for one in (*free, *named.values()):
         if one.name not in made and one.default is REQUIRED:

@@ -33,6 +33,7 @@ MISTAKES = [
     ("solve panda --alpha", "Option `--alpha` must be given numbers, but has no value."),
     ("solve panda --Ts 0,01", "but is '0,01': write 0.01."),
     ("solve panda ur5", "'ur5' is one too many; `cnclik solve --help` lists the options."),
+    ("solve panda --Ts 5 kg", "Option `--Ts` must be a number, but is '5 kg'."),
     ("solve panda --N 3 --N 4", "Option `--N` must be given once, but is given twice."),
     ("solve panda --json=yes", "Unknown option --json=yes; did you mean --json?"),
     ("solve panda --N 1.5", "Option `--N` must be an integer, but is '1.5'."),
