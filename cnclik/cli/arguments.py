@@ -144,7 +144,7 @@ def of_options(verb, said) -> str:
 
 def _help(verb, groups, prog, description) -> str:
     """The help: options in groups, positional arguments first and output last."""
-    width = min(shutil.get_terminal_size().columns, 120)
+    width = min(max(shutil.get_terminal_size().columns, 40), 120)
     usage = [_flag(one) if one.default is REQUIRED else f"[{_flag(one)}]" for one in _sorted(verb, groups)[0]]
     about = inspect.cleandoc(verb.run.__doc__ or "").partition("\nArgs:")[0].strip()
     lines = [" ".join(["usage:", prog, "[options]", *usage]), "", description, "", about]

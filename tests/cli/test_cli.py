@@ -23,7 +23,8 @@ def test_overview_and_version(capsys):
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_help_of_every_verb(verb, capsys):
+def test_help_of_every_verb(verb, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "9" if verb == "view" else "80")  # as narrow as a terminal may be
     main([verb, "--help"])
     shown = capsys.readouterr().out
     assert f"usage: cnclik {verb}" in shown
