@@ -33,8 +33,8 @@ class Rate(NamedTuple):
 
     @property
     def stable(self) -> bool:
-        """Whether it is at most the largest stable one."""
-        return self.rate <= self.limits.largest_stable * (1 + ROUNDING)
+        """Whether it is below the largest stable one, with which a loop swings for ever."""
+        return not self.rate or self.rate < self.limits.largest_stable
 
     @property
     def within(self) -> bool:

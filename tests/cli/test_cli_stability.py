@@ -93,6 +93,7 @@ def test_a_robot_adds_its_joints_speeds_and_other_rates(capsys):
     facts = json.loads(capsys.readouterr().out)["robot"]
     assert f"{100 * facts['share_of_its_velocity_limit']:.3g} % of joint {facts['joint']}'s" in said
     assert [rate["answer"] in said for rate in facts["rates"]] == [True, True]
+    assert shown(capsys, "ur5", "--delay", 0, "--method", "EE", *held, "--alpha", 200).count("UNSTABLE") == 2  # at it
     said = shown(capsys, "ur5", "--q0", 0, -1, 0, 0, 1, 0)  # stretched: it was 20 % of a joint's limit
     assert said.endswith("ur5 at its start: no joint velocities move the tip in the worst direction: J is singular.")
 
