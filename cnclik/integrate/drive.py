@@ -84,10 +84,10 @@ class Drive:
             must = "come with command position and a lag or servo, its dead time as delay alone, where it is rebased"
             found = f"command {self.command}, order {self.order}, measurement_delay {self.measurement_delay}"
             raise errors.fail("feedback", must, f"comes with {found}")
-        for name in ["lag"] * lag + ["natural_frequency", "damping_ratio"] * servo:
-            nothing = lag and self.command == "velocity"  # of positions a lag makes steps of lines
-            size = {"at_least": 0} if nothing else {"positive": True, "at_least": 1 / LARGEST}
-            checked[name] = errors.array(name, getattr(self, name), (), (None,), (None, 1), **size, most=LARGEST)
+        for name in ["lag"] * lag + ["natural_frequency", "damping_ratio"] * servo:  # of positions no lag is 0
+            may = {"at_least": 0} if lag and self.command == "velocity" else {"positive": True, "at_least": 1 / LARGEST}
+            alike = [s for s in [np.shape(checked.get("natural_frequency"))] if s] or [(None,), (None, 1)]
+            checked[name] = errors.array(name, getattr(self, name), (), *alike, **may, most=LARGEST)
         if not _none(self.smoothing):
             if self.cutoff is not None:
                 raise errors.fail("cutoff", "be left out where there is a smoothing: use one of both", "is given")

@@ -52,6 +52,7 @@ MISTAKES = [
     ("reach planar:1,1 text.txt", "`TARGETS` must end with .csv, but is 'text.txt'"),
     ("reach planar:1,1 --random 3 --out x.txt", "`--out` must end with .csv"),
     ("reach panda --random 3 --path --near 0 0 0 0 0 0 0", "Option `--near` must be left out with --path"),
+    ("stability --natural-frequency 30 20 --damping-ratio 1 1 1", "`--damping-ratio` must be a single number or have"),
     ("stability --draw chart", "Option `--draw` must be some of gains, plane, map, but is 'chart'."),
     ("stability --out figures", "Option `--out` must come with --draw, but comes without."),
     ("stability --task xy", "Option `--task` must come with ROBOT or --draw map, but comes without."),
