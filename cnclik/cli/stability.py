@@ -233,8 +233,9 @@ def _gains(found, given, made):
     from cnclik.stability.linear import describe
 
     Ts, method, M, drive = found.Ts, found.method, found.M, found.drive
-    late = min(max(2 * drive.lumped.delay * Ts, 0.02), 50 * Ts)  # no more samples than a drive may have
-    axes = {"Ts": np.geomspace(Ts / 2, 10 * Ts, CHART_POINTS), "dead_time": np.linspace(0, late, CHART_POINTS)}
+    least = Ts * np.clip(drive.lumped.delay / 100, 0.5, 1.0)
+    late = min(max(2 * drive.lumped.delay * Ts, 0.02), 100 * least)  # no more samples than a drive may have
+    axes = {"Ts": np.geomspace(least, 10 * Ts, CHART_POINTS), "dead_time": np.linspace(0, late, CHART_POINTS)}
     data = gain_table(**axes, drive=drive, method=method, M=M)
     lag = drive_in_words(dataclasses.replace(drive, delay=0.0, measurement_delay=0), Ts)
     title = textwrap.fill(f"{describe(method, M)}, {lag}", 60)

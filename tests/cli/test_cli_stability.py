@@ -106,14 +106,16 @@ def opened(folder, name):
         return data.load()
 
 
-def test_chart_has_the_recommended_gains(tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize("delay", ["2", "90"])
+def test_chart_has_the_recommended_gains(delay, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("cnclik.cli.stability.CHART_POINTS", 3)
-    main(["stability", "--Ts", "10ms", "--delay", "2", "--lag", "50ms", "--draw", "gains", "--out", str(tmp_path)])
+    main(["stability", "--Ts", "10ms", "--delay", delay, "--lag", "50ms", "--draw", "gains", "--out", str(tmp_path)])
     assert {p.name for p in tmp_path.iterdir()} == {LIST, "gains.nc", "gains.png"}
     data = opened(tmp_path, "gains.nc")
     cell = data.isel(Ts=1, dead_time=-1)
     drive = ck.Drive(delay=float(cell.dead_time / cell.Ts), lag=0.05)
     assert float(cell.recommended) == pytest.approx(ck.gains(Ts=float(cell.Ts), drive=drive).recommended)
+    assert data.dead_time.max() > 0.0099 * int(delay)  # of now, where the picture has its mark
     assert data.Ts.min() < 0.01 < data.Ts.max() and '"lag": 0.05' in data.attrs["config"]
 
 
