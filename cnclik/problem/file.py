@@ -48,7 +48,7 @@ def problem_of(robot, **options) -> Problem:
         must = "return a law, a reference and q0, as a tuple or a dict"
         raise errors.fail(f"problem() in {path.name}", must, f"returns {made!r}")
     check_units("q0", options.get("q0"), made.law.chain)
-    loop = in_own_units({name: value for name, value in options.items() if name not in takes}, made.Ts)
+    loop = in_own_units({name: value for name, value in options.items() if name in _LOOP}, made.Ts)
     if "M" in loop:
         loop["stage"] = dataclasses.replace(made.stage, M=loop.pop("M"))
     drive = drive_from({name: loop.pop(name) for name in DRIVE if name in loop}, made.drive)

@@ -247,7 +247,7 @@ def file(tmp_path):
 
 
 def test_a_stack_stays_where_it_starts_and_takes_options_that_are_its_arguments(file):
-    made = problem_of(file(TWO), alpha=3.0, Ts=0.02, N=5, delay=1.0)
+    made = problem_of(file(TWO.replace("alpha=5.0)", "alpha=5.0, Ts=0.01)")), alpha=3.0, Ts=0.02, N=5, delay=1.0)
     assert made.name == "cell" and float(made.law.alpha) == 3.0 and (made.Ts, made.N) == (0.02, 5)
     assert made.drive == ck.Drive(delay=1.0) and made.reference.still
     run = made.run()
