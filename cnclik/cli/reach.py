@@ -44,6 +44,7 @@ def run(
     """Find joint values within the joint limits that put the tip at targets.
 
     Args:
+      robot: a URDF or MJCF file, a name of robot_descriptions, or a built-in robot such as panda.
       targets: FILE.csv with a target per row: columns x, y, z and, for a pose, qw, qx, qy, qz, by name or in this
         order.
       target: one target in place of TARGETS: position [m] and, for a pose, a quaternion w x y z.

@@ -29,6 +29,7 @@ def test_help_of_every_verb(verb, capsys, monkeypatch):
     shown = capsys.readouterr().out
     assert f"usage: cnclik {verb}" in shown
     assert not re.search(r"\w-\n", shown)  # a name in two lines can't be copied
+    assert ("FILE.py" in shown) == (verb in ("solve", "stability", "view", "export"))
     if verb in ("solve", "export"):
         titles = re.findall(r"^([a-z ]+):$", shown, re.M)
         groups = ["robot and task", "path", "law", "loop", *["drive"] * (verb == "solve"), "output"]
