@@ -356,6 +356,8 @@ def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float)
 
     noisy = loop.disturbed - s * loop.b * loop.noise
     away, fed, noise = loop.response(s, loop.q, np.stack([loop.displaced, loop.b, noisy], -1), N).T
+    late = drive.measurement_delay * (drive.feedback != "commanded")  # which no feed-forward waits for
+    fed = np.append(fed, np.zeros(late))[late:]
     asked = np.r_[-s * loop.noise, loop.response(s, -s * loop.C, noisy[:, None], N - 2)[:, 0]]
     poles = inside.poles(s)
     slowest = np.log(poles[np.abs(poles) >= np.abs(poles).max() * (1 - SLOWEST)].astype(complex) + TINY)

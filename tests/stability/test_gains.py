@@ -153,6 +153,8 @@ def test_a_step_and_a_ramp_come_late_through_a_filter_of_the_target():
     assert (found.settling_time, found.start_error) == pytest.approx((0.45, 0.050354), rel=1e-4)
     slow = ck.gains(Ts=0.01, drive=Drive(delay=2, smoothing=0.97, smoothed="target")).response
     assert slow.settling_time == pytest.approx(1.38, abs=0.011) and slow.start_error >= 0.999 * slow.lag_fed_forward
+    late = ck.gains(Ts=0.01, drive=Drive(delay=2, measurement_delay=4)).response  # which feed-forward does not wait for
+    assert late.start_error == pytest.approx(0.02)
 
 
 def test_no_more_than_one_per_cent_is_passed_without_overshoot():
