@@ -78,7 +78,8 @@ def prepared(y):
     moves = (span > 1e-12 * np.abs(y).max(0)) & (span > 3.5 * step)
     steps = np.linalg.norm(np.diff(y, axis=0), axis=1)
     at = np.flatnonzero(steps > 1e-12 * np.abs(y).max())
-    if 0 < 2 * len(at) < len(steps) and np.ptp(np.diff(at, prepend=-1)) > 1:  # counts, not a slower sensor's rows
+    apart = np.diff(at, prepend=-1)
+    if 0 < 2 * len(at) < len(steps) and np.ptp(apart) > 1 < np.median(apart):  # counts, no slow sensor, no rest
         moves &= np.linalg.norm(span) > COUNTS * np.median(steps[at])
     unit = np.maximum(np.maximum(0.1 * np.std(y, axis=0), noise_of(y)), step)
     return ((y - y[0]) / np.where(unit > 0, unit, 1.0))[:, moves]

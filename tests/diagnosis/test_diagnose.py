@@ -34,6 +34,8 @@ def test_what_surrounds_a_swing_does_not_matter():
     assert diagnose(0.5 * loop(0.13, 7, 425) - 1e-3 * t[:425], TS).cause == "dead time"  # drifts
     held = np.repeat(loop(stable(2), 2, 60) + 0.02 * rng.standard_normal(60), 10)  # by a slow sensor
     assert diagnose(held, TS / 10).kind != "calm"
+    rested = np.pad(loop(1.04 * stable(2), 2, 60), (300, 0))  # before a push: its steps were taken for an encoder's
+    assert diagnose(rested, TS).kind == "growing oscillation"
     for size in (1e-250, 1e20):
         same = diagnose(size * e, TS)
         assert same.recommended_alpha == pytest.approx(diagnose(e, TS).recommended_alpha, rel=1e-3)
