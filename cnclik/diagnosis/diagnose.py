@@ -20,7 +20,7 @@ OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
 TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
 SIZES = (0.85, 1.7)  # ratio of the sizes in the two halves of its energy of what neither decays nor grows
-TURNED, HALF = 27.0, 179.0  # [degrees]: by less no error passes its target by 0.2 %; or a sign, about an oblique axis
+TURNED, HALF = 27.0, 170.0  # [degrees]: by less no error passes its target by 0.2 %; by more a wrong sign looks alike
 SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one; of a growth's, the least
 STEADY, RESTLESS, HELD = 0.1, 0.35, 2.0  # unrest of what lasts, of noise (0.52 by Rayleigh); change in all periods
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
@@ -29,7 +29,8 @@ CLIPPED, SCALED = 3.0, 1.5  # ratio of a known gain to those that make the oscil
 SETTLED, PASSED = 0.03, 0.05  # shares of a motion that are left in the end, and beyond its end, where nothing is wrong
 ALIKE, ABOVE = 0.1, 1.25  # relative difference of the periods of one mode; factor up to which a task's gain may stay
 UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at rest, and record until it rests again."
-WRONG_SIGN = "It grows × {:.6g} per sample: the sign of error, Jacobian or command is wrong. No gain helps."
+WRONG_SIGN = "It grows × {:.6g} per sample: the sign of error, Jacobian or command is wrong"
+WRONG_SIGN += ", or one of their frames is turned by some 180°. No gain helps."
 DECAYS = "It decays without overshoot by this log: no smaller gain is needed."
 OPEN = "It oscillates, but the drives that may be behind it tolerate gains too different: record a step (--step)."
 SMALL = "alpha is too small to make it oscillate like this: counts of an encoder, noise or a path may."
@@ -123,7 +124,7 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     main = int(np.argmax(np.abs(turn)))
     angle = float(np.copysign(np.linalg.norm(turn), turn[main]))
     along = abs(turn[main]) > 0.99 * abs(angle)
-    if abs(angle) > TURNED and (abs(angle) < HALF or along):
+    if TURNED < abs(angle) < HALF:
         if steady if alpha is None else not SAME[0] < z / (alpha * Ts) < SAME[1]:
             return {"kind": UNDECIDED, "note": UNFINISHED}  # as on a circular path
         axis = "xyz"[main] if along else np.round(turn / angle, 2)

@@ -36,6 +36,7 @@ TAIL, MIDDLE = 0.1, 0.6  # share of the likely drives beyond each end; where bet
 LEFT = 0.1  # share of the power of the motion that turned frames leave unexplained, at most
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
 ALIKE = 60.0  # of the criterion, within which another dead time explains a spiral as well
+CURVED = 15.0  # ratio of what wrong signs and a turn leave of a growth, up to which an arm's curvature may make it
 STEADY = 1.1  # ratio of the sizes in the last thirds of a circle, at most; the first one may be a push
 CIRCLE = 0.33  # |Σv²| over Σ|v|² of an ellipse of ratio 0.7; those of arms whose joints differ have 0.49 at least
 PARTS = 250  # rows to which a spiral or a growth is averaged
@@ -285,7 +286,7 @@ def turned(y, gain, circle) -> tuple | None:
         return None
     y = y / np.concatenate([np.full(len(b), np.sqrt(np.mean(np.var(y[:, b], axis=0))) + 1e-300) for b in blocks])
     floor = UNMODELLED**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
-    level, plain, spins = path_basis(N)[:, :3], np.inf, []  # columns may drift
+    level, plain, spins = path_basis(N)[:, :3], (np.inf, 1.0), []  # columns may drift
     left, acts = free(level, y[-N:]), np.cumsum(y, axis=0)  # both sides summed: noise of the measurement stays white
     for d in range(most + 1):
         late = free(level, acts[-N - 1 - d : -1 - d])
@@ -296,16 +297,18 @@ def turned(y, gain, circle) -> tuple | None:
         z = -np.sum(left * moved) / max(np.sum(moved**2), 1e-300)
         rests = left + each * late, left + z * moved
         alone, score = (N * np.sum(np.log(np.mean(rest**2, 0) + floor)) for rest in rests)
-        plain = min(plain, alone + np.log(N) * len(each))
+        plain = min(plain, (alone + np.log(N) * len(each), np.sum(rests[0] ** 2) / np.sum(left**2)))
         if z > 0:
             spins.append((score + np.log(N) * 4, d, z / m, u @ vt, np.sum(rests[1] ** 2) / np.sum(left**2)))
     least = min((spin[0] for spin in spins), default=0.0)
     alike = [spin for spin in spins if spin[0] <= least + ALIKE]
-    if not alike or alike[0][4] > LEFT or not (circle or plain - alike[0][0] > BETTER):
+    if not alike or alike[0][4] > LEFT or not (circle or plain[0] - alike[0][0] > BETTER):
         return None
     best = alike[0] if gain is None else min(alike, key=lambda spin: abs(np.log(spin[2] / gain)))
     turn = np.eye(3)
     turn[: len(best[3]), : len(best[3])] = best[3]
+    if not circle and np.trace(turn) < 1 and plain[1] < min(LEFT, CURVED * best[4]):  # it grows as by a wrong sign
+        return None
     wave = free(path_basis(len(y) - past)[:, :2], y[past:])
     sizes = [float(np.linalg.norm(third)) for third in np.array_split(wave, 3)]
     steady = 1 / STEADY < sizes[2] / max(sizes[1], 1e-300) < STEADY and sizes[2] > 0.5 * sizes[0]

@@ -83,6 +83,11 @@ def test_growth_without_swinging_is_a_wrong_sign():
         assert np.log(found.growth) == pytest.approx(np.log(growth), rel=0.1) and found.factor is None
     other = np.stack([loop(0.1, 1, 120), loop(-0.05, 2, 120)], 1)  # the sign of one column alone
     assert diagnose(other, TS, alpha=0.05 / TS).cause == "wrong sign"
+    bent = [np.array([0.02, 0.012, 0.008])] * 3  # all columns, on an arm: a turn by 173° was said, surely
+    while len(bent) < 86:
+        grown = bent[-3] - 0.3 * np.linalg.norm(bent[-3]) * np.cross([0.3, -0.5, 0.8], bent[-3])
+        bent.append(bent[-1] + 0.03 * grown)
+    assert diagnose(np.array(bent), TS, alpha=0.03 / TS).cause == "wrong sign"
     other = np.stack([0.34 * loop(0.03, 1, 200), 0.9 * loop(-0.01, 2, 200)], 1)
     found = diagnose(other, TS)  # nor are the frames turned, by 164°
     assert found.cause == "wrong sign" and found.growth == pytest.approx(1.0098, abs=2e-4)
