@@ -30,7 +30,7 @@ SETTLED, PASSED = 0.03, 0.05  # shares of a motion that are left in the end, and
 ALIKE, ABOVE = 0.1, 1.25  # relative difference of the periods of one mode; factor up to which a task's gain may stay
 UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at rest, and record until it rests again."
 WRONG_SIGN = "It grows × {:.6g} per sample: the sign of error, Jacobian or command is wrong"
-WRONG_SIGN += ", or one of their frames is turned by some 180°. No gain helps."
+WRONG_SIGN += ", or one of their frames is turned by 150 to 180°. No gain helps."
 DECAYS = "It decays without overshoot by this log: no smaller gain is needed."
 OPEN = "It oscillates, but the drives that may be behind it tolerate gains too different: record a step (--step)."
 SMALL = "alpha is too small to make it oscillate like this: counts of an encoder, noise or a path may."
@@ -118,6 +118,8 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     x, still = (part[push:] / (x[push] or 1.0) for part in (x, x - drift))  # either may hide that it passes its end
     soon = 4 * np.argmax(x < 0.5) < len(x)  # else it has not come to rest
     settled = soon and len(x) > tail and np.std(x[-tail:]) < SETTLED and min(*x, *still) > -PASSED
+    rest = y[-tail:] - np.median(y[-tail:], axis=0)  # of each column: one axis may grow alone
+    settled = settled and np.std(rest, axis=0).max() < SETTLED * np.ptp(y, axis=0).max()
     circle = read is not None and loop.on_a_circle(y[read.first : read.last], read.mode)
     looked = scaled.shape == y.shape and (not settled or (circle and alpha is not None))
     turn, z, steady = (loop.turned(y, alpha and alpha * Ts, circle) if looked else None) or (np.zeros(3), 0, 0)

@@ -89,6 +89,8 @@ def test_growth_without_swinging_is_a_wrong_sign():
         bent.append(bent[-1] + 0.03 * grown)
     assert diagnose(np.array(bent), TS, alpha=0.03 / TS).cause == "wrong sign"
     other = np.stack([0.34 * loop(0.03, 1, 200), 0.9 * loop(-0.01, 2, 200)], 1)
+    leaves = np.outer((np.arange(300) / 300) ** 2, [0, 0, 0, 0.2])  # as others come to rest: that was called calm
+    assert diagnose(leaves + np.outer(0.985 ** np.arange(300), [0.17, 0.1, -0.05, 0]), TS).kind != "calm"
     found = diagnose(other, TS)  # nor are the frames turned, by 164°
     assert found.cause == "wrong sign" and found.growth == pytest.approx(1.0098, abs=2e-4)
     assert diagnose(other, TS, alpha=0.2 / TS).cause is None  # with that gain it would grow faster
