@@ -100,6 +100,8 @@ def test_solutions_of_two_links():
     far = ck.reach(two, [5.0, 0, 0], task=task, solutions=2)
     assert far.status.tolist() == [ReachStatus.OUT_OF_REACH, ReachStatus.NO_OTHER] and np.isfinite(far.q[0]).all()
     assert str(far) == "1 OUT_OF_REACH, 1 NO_OTHER"
+    sliding = ck.from_dh([1.0, 1.0, 0.0], [0.0] * 3, [0.0] * 3, kinds="RRP", lower=[-3, -3, 0], upper=[3, 3, 9])
+    assert ck.reach(sliding, [1.2, 0.9, 7.0], task=ck.position(), solutions=4).status.tolist() == [0, 0, 6, 6]
 
 
 def test_solved_is_within_each_tolerance():
