@@ -146,7 +146,7 @@ class Gains:
 def gains(*, Ts: Number, drive: Drive | None = None, method: MethodLike = DEFAULT, M: int | None = None) -> Gains:
     """Return the gains that a loop tolerates on its drives, for any robot, posture, task and stack.
 
-    Each rate of the loop at rest is a weighted mean of its gains (docs/theory.md has the proof). So alpha ≤
+    Each rate of the loop at rest is a weighted mean of its gains (docs/theory.md has the proof). So alpha <
     `largest_stable` is stable for every J# = Jᵀ(JJᵀ + D)⁻¹, and exactly the limit where J# is exact. With one gain for
     all tasks, joints may have different drives. It is linear: nothing is said of large errors or of limits that switch.
 

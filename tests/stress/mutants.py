@@ -73,7 +73,7 @@ def tuned(path, line) -> bool:
     """Whether a line of a module is constants alone that say what runs as C, or how long is searched."""
     numbers = ast.Name, ast.Tuple, ast.BinOp, ast.operator, ast.Constant, ast.expr_context, ast.Assign
     every = all(isinstance(node, numbers) for node in ast.walk(line))
-    return every and (path.parts[-2] == "engine" or path.stem in ("descent", "starts", "search"))
+    return every and (path.parts[-2] == "engine" or path.stem in ("descent", "starts", "search", "maps"))
 
 
 def drawn(seed, number) -> tuple:
