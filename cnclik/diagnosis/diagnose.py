@@ -32,6 +32,7 @@ UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at
 WRONG_SIGN = "It grows × {:.6g} per sample: the sign of error, Jacobian or command is wrong"
 WRONG_SIGN += ", or one of their frames is turned by 150 to 180°. No gain helps."
 DECAYS = "It decays without overshoot by this log: no smaller gain is needed."
+PASSES = "It comes to rest, but a column passes its end by {:.2g} %: a smaller gain may be needed."
 OPEN = "It oscillates, but the drives that may be behind it tolerate gains too different: record a step (--step)."
 SMALL = "alpha is too small to make it oscillate like this: counts of an encoder, noise or a path may."
 PATH = "A path of this period looks alike: record with the target at rest."
@@ -133,15 +134,26 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
         note = f"Error and Jacobian are in frames turned by {abs(angle):.3g}° against each other about {axis}: no gain "
         note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
         return dict(kind="spiral", cause="turned frames", angle=angle, confidence=sure, note=note)
+    calm = {"kind": CALM, "note": _at_rest(y, tail)}
     if circle:
-        return {"kind": CALM, "note": DECAYS} if settled else {"kind": UNDECIDED, "note": CIRCLES}
+        return calm if settled else {"kind": UNDECIDED, "note": CIRCLES}
     if rate := loop.growth(scaled, SAME[0] * (alpha or 0.0) * Ts):
         note = WRONG_SIGN.format(rate)
         return dict(kind="growth without oscillation", cause="wrong sign", growth=rate, confidence=sure, note=note)
     sways = read is not None and read.evidence > KNOWN and np.isfinite(read.period) and read.swings > SURELY
     if sways and not (settled and alpha is None) and (fields := _swing(scaled, read, Ts, alpha)):
         return fields
-    return {"kind": CALM, "note": DECAYS} if settled else {"kind": UNDECIDED, "note": UNFINISHED}
+    return calm if settled else {"kind": UNDECIDED, "note": UNFINISHED}
+
+
+def _at_rest(y, tail) -> str:
+    """Return what is said of columns that come to rest, each of which may pass its end alone."""
+    away = y - np.median(y[-tail:], axis=0)
+    first = np.argmax(np.abs(away), axis=0)
+    away = away * np.sign(away[first, range(len(first))])
+    past = [-min(column[k:]) for column, k in zip(away.T, first, strict=True)] - 4 * np.std(away[-tail:], axis=0)
+    share = np.max(past / np.maximum(away.max(0), 0.2 * away.max()))  # of a column that hardly moves it is no sign
+    return PASSES.format(100 * share) if share > OVERSHOOTS else DECAYS
 
 
 def _swing(scaled, read, Ts, alpha) -> dict | None:

@@ -124,6 +124,8 @@ CALM = {
     "a decay": loop(0.9 * monotone(4), 4, 200),
     "a noisy decay": np.outer(0.9 ** np.arange(300.0), [1.0, -0.5]) + 0.01 * STEPS[:300, :2],
     "frames turned by 40°": ((1 - 0.15 * np.exp(0.7j)) ** np.arange(160)).view(float).reshape(-1, 2),
+    "a swing of one axis, of which alpha would tell": np.outer(loop(0.75 * stable(3), 3, 200), [0.0, 0.0, 0.5])
+    + np.outer(loop(0.5 * monotone(3), 3, 200), [1.0, -0.6, 0.0]),
     "joints on a circle": np.tile(((1 - 0.15 * np.exp(1j)) ** np.arange(160)).view(float).reshape(-1, 2), 2),
     "a path, read as a gain of 500 times the limit": logs.drawn(np.random.default_rng(2), "path").signal,
 }
@@ -134,6 +136,7 @@ def test_nothing_is_found_where_there_is_nothing(name):
     found = diagnose(CALM[name], TS)
     assert found.drive is None and found.cause is found.confidence is found.recommended_alpha is None, str(found)
     assert found.note and str(found).startswith(found.kind)
+    assert ("passes its end by 67 %" in found.note) == ("one axis" in name)
     if name == "frames turned by 40°":  # at the rate of a known gain no path turns
         assert diagnose(CALM[name], TS, alpha=0.15 / TS).angle == pytest.approx(np.degrees(0.7), abs=0.1)
 
