@@ -92,9 +92,7 @@ class Spline:
 
     def __call__(self, t):
         times, k = jnp.asarray(self.times), interval(self.times, t)  # NumPy arrays take no traced index
-        inside = (t >= self.times[0]) & (t <= self.times[-1] * (1 + 1e-9))
-        # Constant beyond both ends; the jvp of a clip would halve the velocity exactly at an end.
-        dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - times[k]
+        dt = jnp.clip(t, self.times[0], self.times[-1]) - times[k]  # constant beyond both ends, at which it rests
 
         def at(c):
             a, b, c, d = jnp.asarray(c)[k]
