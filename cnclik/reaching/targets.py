@@ -10,6 +10,7 @@ from cnclik.law.paths import Reference
 from cnclik.law.reference import References, aims_of
 from cnclik.record import xp_for
 from cnclik.robot import poses
+from cnclik.robot.model import Pose
 from cnclik.task.task import Task, aims, of_tips
 
 
@@ -71,6 +72,8 @@ def _parts(name, target, aim):
     four = not aim.linear and poses.shape_of(target) == (4, 4) and errors.concrete(target)
     if four and not np.array_equal(np.asarray(target, float)[3], [0, 0, 0, 1]):  # quaternions, and no transform
         return None, poses.rotations(name, target, finite=False)
+    if isinstance(target, list) and target and all(isinstance(one, Pose) for one in target):
+        target = jax.tree.map(lambda *each: xp_for(each).stack(each), *target)
     whole = poses.whole(name, target, finite=False)
     if whole is not None:
         return whole

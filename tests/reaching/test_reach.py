@@ -208,7 +208,8 @@ def test_the_forms_of_targets():
     assert (quaternion[:, 0] >= 0).all()
     seven = np.concatenate([position, quaternion], 1)
     poses = ck.Pose(position=position, rotation=rotation)
-    for same in ((position, rotation), (position, quaternion), seven, made.tolist(), poses):
+    several = [ck.Pose(position=p, rotation=r) for p, r in zip(position, rotation, strict=True)]
+    for same in ((position, rotation), (position, quaternion), seven, made.tolist(), poses, several):
         np.testing.assert_allclose(ck.reach(WRIST, same).q, first.q, atol=1e-5)
     one = ck.reach(WRIST, ck.forward(WRIST, jnp.array(first.q[0])))
     assert one.solved and one.q.shape == (6,)
