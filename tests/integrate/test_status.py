@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.integrate.status import StepError, count, names
+from cnclik.integrate.status import StepError, count, growing, names
 from tests.bank import screws
 
 S = ck.Status
@@ -134,6 +134,13 @@ def test_growing_from_the_limit_of_stability_on(dtype):
     noise = np.sin(np.arange(60.0))[:, None]  # by which an error grows and shrinks
     shaken = ck.solve(ck.replace(law, alpha=8.0), HOLD_ONE, np.zeros(1, dtype), 0.125, 60, "EE", noise=noise)
     np.testing.assert_array_equal(shaken.status, S.OK)
+
+
+def test_an_error_that_turns_round_and_keeps_its_size_grows():
+    """It turns round as a whole: one axis may keep its sign."""
+    e = jnp.array([[1.0, 0.1], [-0.96, 0.3], [0.9, 0.4]])
+    law = ck.Law(arm(), ck.position("xy"), alpha=2.0)
+    assert growing(law, HERE, jnp.arange(3.0), e).tolist() == [S.GROWING, 0]
 
 
 def test_a_task_of_more_rows_than_joints():
