@@ -8,7 +8,7 @@ import zipfile
 
 import pytest
 
-ROOT = pathlib.Path(__file__).parents[2]
+ROOT = pathlib.Path(__file__).parents[1]
 CODE = """import sys; sys.path.insert(0, "site"); import cnclik as ck; from cnclik.cli import main
 law = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=5.0)
 print(ck.__file__, ck.solve(law, ck.hold([1.2, 0.9]), [0.3, 1.0], Ts=0.01, N=20).q.shape)
