@@ -176,7 +176,7 @@ class RowTexts:
 
     def table(self, values, k) -> str:
         N = scalar(values.dtype)
-        if values.dtype.kind in "iu" and len(values) > 1:
+        if values.dtype.kind in "iu":
             gap = int(values[1]) - int(values[0])
             if all(int(v) == int(values[0]) + gap * i for i, v in enumerate(values)):
                 return self.splat(values.dtype, f"({N})({int(values[0])} + {gap} * ({k}))")
