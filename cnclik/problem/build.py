@@ -244,4 +244,6 @@ def drive_from(given, drive=None) -> Drive | None:
     """Return a drive with the options of a table in place of its own, of which lists are one number per joint."""
     given = {name: v for name, v in given.items() if v is not None}
     given |= {name: errors.array(name, v, (None,)) for name, v in given.items() if isinstance(v, (tuple, list))}
+    if "smoothed" in given and not {"smoothing", "cutoff"} & set(given) and not (drive and drive.filters):
+        raise errors.fail("smoothed", "come with a smoothing or a cutoff", "comes without")
     return dataclasses.replace(drive or Drive(), **given) if given else drive
