@@ -91,7 +91,6 @@ def stability_map(
     each = dict(zip(axes, np.meshgrid(*(values[name] for name in axes), indexing="ij"), strict=True))
     each = {name: np.broadcast_to(value, shape).ravel() for name, value in (values | each).items()}
     factor, passes = each["alpha"] / largest, None if M is None else each["M"].astype(int)
-    most = 0 if M is None else max(stage.maximum or 0, int(values["M"].max()))
     # Sampled once for each sampling time: the matrix exponential has no place in a program for many loops.
     times, which = np.unique(each["Ts"], return_inverse=True)
     models = None
@@ -100,7 +99,7 @@ def stability_map(
 
     def ended(factor, Ts, M, model):
         scaled = replace(law, alpha=law.alpha * factor)
-        own = stage if M is None else replace(stage, M=M, maximum=most)
+        own = stage if M is None else replace(stage, M=M, maximum=int(values["M"].max()))
         through = dict(drive=drive, model=model, tolerance=tolerance)
         return outcome(scaled, reference, jnp.asarray(q0), Ts, N, method, own, **through)
 
