@@ -75,6 +75,14 @@ def test_a_stack_may_have_one_task():
     close(run["hand"].x[-1], [0.5, 0.5], atol=1e-5)
 
 
+def test_the_least_singular_value_is_that_of_the_worst_task():
+    task, q = ck.stack(rest=ck.joints(), hand=ck.position("xy")), np.full(4, 0.1)
+    law = ck.Law(PLANAR, task, alpha=5.0, inverse=ck.damped(0.1))
+    made = ck.step(law, ck.hold_at(PLANAR, task, q, hand=ck.hold([0.5, 0.5])), q, 0.0, 0.1)
+    wanted = np.linalg.svd(ck.jacobian(PLANAR, q)[:2], compute_uv=False)[-1]
+    assert 0.3 * wanted < made.least < wanted * (1 + 1e-9) < 0.5
+
+
 def recursion(levels, lams):
     """Damped priorities with the projectors that match (Siciliano & Slotine 1991): [(J, v)] of each level."""
     n = levels[0][0].shape[1]
