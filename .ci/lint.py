@@ -134,17 +134,14 @@ def pages():
         yield from ((path, 1, fault) for fault in faults(text(path)))
 
 
-def prose(path) -> str:
-    """A page without what is fenced or in backticks."""
-    page = re.sub(r"^```.*?^```", "", text(path), flags=re.M | re.S)
-    return re.sub(r"`[^`\n]*`", "", page)
+def unfenced(path) -> str:
+    return re.sub(r"^```.*?^```", "", text(path), flags=re.M | re.S)
 
 
 def anchors(path) -> set:
     """The names that GitHub gives to a page's headings."""
-    page = re.sub(r"^```.*?^```", "", text(path), flags=re.M | re.S)
     found, seen = set(), {}
-    for title in re.findall(r"^#{1,6} (.+)$", page, re.M):
+    for title in re.findall(r"^#{1,6} (.+)$", unfenced(path), re.M):
         name = re.sub(r"[^\w\- ]", "", re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", title).lower()).strip().replace(" ", "-")
         seen[name] = seen.get(name, -1) + 1
         found.add(f"{name}-{seen[name]}" if seen[name] else name)
@@ -154,7 +151,7 @@ def anchors(path) -> set:
 def links():
     """To files that are there, and to headings that they have."""
     for page in written():
-        for address in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        for address in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`\n]*`", "", unfenced(page))):
             if re.match(r"[a-z]+:", address):
                 continue
             where, _, place = address.partition("#")

@@ -10,7 +10,7 @@ from typing import Literal
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.common import prepare, print_json, print_table, problem
-from cnclik.problem.options import DEFAULTS, DRIVE, in_own_units
+from cnclik.problem.options import DEFAULTS, DRIVE, drive_from, in_own_units
 from cnclik.quantities import aloud, in_samples
 from cnclik.show.output import draw as draw_figures
 from cnclik.show.output import drawn_by, load_ahead
@@ -46,7 +46,6 @@ def run(
       out: folder for figures and their data (netCDF); default: stability-out.
       json: print the answer as JSON, without figures.
     """
-    from cnclik.integrate.drive import Drive
     from cnclik.stability.gain import gains
 
     if json and draw:
@@ -65,7 +64,7 @@ def run(
     if made is None:
         drive, known = {name: value for name, value in given.items() if name in DRIVE}, DEFAULTS | given
         how = {name: known[name] for name in ("Ts", "method", "M")}
-        found = gains(**how, drive=Drive(**drive) if drive else None)
+        found = gains(**how, drive=drive_from(drive))
     else:
         found = gains(Ts=made.Ts, method=made.method, M=made.stage, drive=made.drive)
     if draw != ("plane",):

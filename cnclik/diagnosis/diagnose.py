@@ -119,8 +119,8 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     x, still = (part[push:] / (x[push] or 1.0) for part in (x, x - drift))  # either may hide that it passes its end
     soon = 4 * np.argmax(x < 0.5) < len(x)  # else it has not come to rest
     settled = soon and len(x) > tail and np.std(x[-tail:]) < SETTLED and min(*x, *still) > -PASSED
-    rest = y[-tail:] - np.median(y[-tail:], axis=0)  # of each column: one axis may grow alone
-    settled = settled and np.std(rest, axis=0).max() < SETTLED * np.ptp(y, axis=0).max()
+    away = y - np.median(y[-tail:], axis=0)  # of each column: one axis may grow alone
+    settled = settled and np.std(away[-tail:], axis=0).max() < SETTLED * np.ptp(y, axis=0).max()
     circle = read is not None and loop.on_a_circle(y[read.first : read.last], read.mode)
     looked = scaled.shape == y.shape and (not settled or (circle and alpha is not None))
     turn, z, steady = (loop.turned(y, alpha and alpha * Ts, circle) if looked else None) or (np.zeros(3), 0, 0)
@@ -134,26 +134,24 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
         note = f"Error and Jacobian are in frames turned by {abs(angle):.3g}° against each other about {axis}: no gain "
         note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
         return dict(kind="spiral", cause="turned frames", angle=angle, confidence=sure, note=note)
-    calm = {"kind": CALM, "note": _at_rest(y, tail)}
     if circle:
-        return calm if settled else {"kind": UNDECIDED, "note": CIRCLES}
+        return _at_rest(away, tail) if settled else {"kind": UNDECIDED, "note": CIRCLES}
     if rate := loop.growth(scaled, SAME[0] * (alpha or 0.0) * Ts):
         note = WRONG_SIGN.format(rate)
         return dict(kind="growth without oscillation", cause="wrong sign", growth=rate, confidence=sure, note=note)
     sways = read is not None and read.evidence > KNOWN and np.isfinite(read.period) and read.swings > SURELY
     if sways and not (settled and alpha is None) and (fields := _swing(scaled, read, Ts, alpha)):
         return fields
-    return calm if settled else {"kind": UNDECIDED, "note": UNFINISHED}
+    return _at_rest(away, tail) if settled else {"kind": UNDECIDED, "note": UNFINISHED}
 
 
-def _at_rest(y, tail) -> str:
-    """Return what is said of columns that come to rest, each of which may pass its end alone."""
-    away = y - np.median(y[-tail:], axis=0)
+def _at_rest(away, tail) -> dict:
+    """Return fields of a `Diagnosis` of columns that come to rest at 0, each of which may pass its end alone."""
     first = np.argmax(np.abs(away), axis=0)
     away = away * np.sign(away[first, range(len(first))])
     past = [-min(column[k:]) for column, k in zip(away.T, first, strict=True)] - 4 * np.std(away[-tail:], axis=0)
     share = np.max(past / np.maximum(away.max(0), 0.2 * away.max()))  # of a column that hardly moves it is no sign
-    return PASSES.format(100 * share) if share > OVERSHOOTS else DECAYS
+    return {"kind": CALM, "note": PASSES.format(100 * share) if share > OVERSHOOTS else DECAYS}
 
 
 def _swing(scaled, read, Ts, alpha) -> dict | None:

@@ -86,7 +86,7 @@ class Drive:
             raise errors.fail("feedback", must, f"comes with {found}")
         for name in ["lag"] * lag + ["natural_frequency", "damping_ratio"] * servo:  # of positions no lag is 0
             may = {"at_least": 0} if lag and self.command == "velocity" else {"positive": True, "at_least": 1 / LARGEST}
-            alike = [s for s in [np.shape(checked.get("natural_frequency"))] if s] or [(None,), (None, 1)]
+            alike = [shape] if (shape := np.shape(checked.get("natural_frequency"))) else [(None,), (None, 1)]
             checked[name] = errors.array(name, getattr(self, name), (), *alike, **may, most=LARGEST)
         if not _none(self.smoothing):
             if self.cutoff is not None:

@@ -24,7 +24,7 @@ from cnclik.law.paths import Reference, causal
 from cnclik.law.reference import References, aims_of, hold_at
 from cnclik.problem import names
 from cnclik.problem import reference as paths
-from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, in_own_units
+from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, drive_from, in_own_units
 from cnclik.record import AnyArray, ArrayLike, Float, Number, in_words, xp_for
 from cnclik.robot.chain import Chain
 from cnclik.robot.poses import quaternions
@@ -238,12 +238,3 @@ def _law(chain, task, v, Ts) -> Law:
         feedforward=v["feedforward"],
         error_clamp=v["error_clamp"],
     )
-
-
-def drive_from(given, drive=None) -> Drive | None:
-    """Return a drive with the options of a table in place of its own, of which lists are one number per joint."""
-    given = {name: v for name, v in given.items() if v is not None}
-    given |= {name: errors.array(name, v, (None,)) for name, v in given.items() if isinstance(v, (tuple, list))}
-    if "smoothed" in given and not {"smoothing", "cutoff"} & set(given) and not (drive and drive.filters):
-        raise errors.fail("smoothed", "come with a smoothing or a cutoff", "comes without")
-    return dataclasses.replace(drive or Drive(), **given) if given else drive

@@ -8,8 +8,8 @@ import sys
 import traceback
 
 from cnclik import errors
-from cnclik.problem.build import Problem, drive_from, problem_from
-from cnclik.problem.options import DRIVE, OPTIONS, check_units, in_own_units
+from cnclik.problem.build import Problem, problem_from
+from cnclik.problem.options import DRIVE, OPTIONS, check_units, drive_from, in_own_units
 from cnclik.reading import read_bytes
 
 _LOOP = ("Ts", "N", "method", "M", *DRIVE)  # options that replace what the file says

@@ -5,6 +5,7 @@ help and unit those of the docstring. Sources are read, not imported: help needs
 """
 
 import ast
+import dataclasses
 import pathlib
 import re
 from typing import Any, NamedTuple
@@ -120,6 +121,17 @@ def in_own_units(given: dict, Ts=DEFAULTS["Ts"]) -> dict:
             value = (int if one.kind == INTEGER else float)(value[0])
         made[name] = value
     return made
+
+
+def drive_from(given, drive=None):
+    """Return a drive with the options of a table in place of its own, of which lists are one number per joint."""
+    from cnclik.integrate.drive import Drive  # here, as help needs none
+
+    given = {name: v for name, v in given.items() if v is not None}
+    given |= {name: errors.array(name, v, (None,)) for name, v in given.items() if isinstance(v, (tuple, list))}
+    if "smoothed" in given and not {"smoothing", "cutoff"} & set(given) and not (drive and drive.filters):
+        raise errors.fail("smoothed", "come with a smoothing or a cutoff", "comes without")
+    return dataclasses.replace(drive or Drive(), **given) if given else drive
 
 
 def check_units(name: str, values, chain) -> None:

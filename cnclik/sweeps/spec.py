@@ -29,7 +29,7 @@ from cnclik.measure.dataset import provenance
 from cnclik.measure.metrics import DEFAULT, Metrics, measure_run, unit_of
 from cnclik.measure.metrics import check as check_metrics
 from cnclik.problem import options
-from cnclik.problem.build import Problem, drive_from, problem_from
+from cnclik.problem.build import Problem, problem_from
 from cnclik.problem.names import load, stage_from
 from cnclik.problem.reference import OPTIONS as OF_PATHS
 from cnclik.reading import read_toml
@@ -263,7 +263,7 @@ class Loop(dict):
 @functools.cache
 def _largest_z(method, stage, drive, Ts, M) -> float:
     passes = M if stage == "picard" else None
-    return Ts * largest_stable(method, passes, drive_from(dict(drive)) or Drive(), Ts=Ts)
+    return Ts * largest_stable(method, passes, options.drive_from(dict(drive)) or Drive(), Ts=Ts)
 
 
 # --- reading ------------------------------------------------------------------------------------------

@@ -57,6 +57,7 @@ MISTAKES = [
     ("stability --out figures", "Option `--out` must come with --draw, but comes without."),
     ("stability --task xy", "Option `--task` must come with ROBOT or --draw map, but comes without."),
     ("solve panda --smoothed command", "`--smoothed` must come with a smoothing or a cutoff, but comes without."),
+    ("stability --smoothed command", "`--smoothed` must come with a smoothing or a cutoff, but comes without."),
     ("stability --speed -1", "Option `--speed` must be at least 0, but is -1."),
     ("sweep study.toml --distributed here", "must be auto or HOST:PORT:PROCESSES:PROCESS, but is 'here'"),
     ("export panda", "Option `--out` must be given, but is not."),

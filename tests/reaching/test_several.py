@@ -38,7 +38,7 @@ def test_every_answer_is_one():
     """By Pinocchio's forward kinematics, and within the limits; errors are those of the tip that misses most."""
     q, other = drawn(TWO, 60), Pinocchio(BAXTER, oracle(BAXTER)[0])
     due = {side: where(TWO, q, tip) for side, tip in zip(("left", "right"), GRIPPERS, strict=True)}
-    made, sides = ck.reach(TWO, dict(reversed(due.items())), task=TASK), []  # they are told by their names
+    made, sides = ck.reach(TWO, dict(reversed(due.items())), task=TASK), []  # names count, and no order
     assert made.solved.all()
     assert (made.q >= np.array(TWO.lower)).all() and (made.q <= np.array(TWO.upper)).all()
     for side, tip in zip(due, GRIPPERS, strict=True):
